@@ -46,9 +46,9 @@ from .results import machine, table, write_section
 
 OWN, TOOL = "refcodec", f"splat-transform {VERSION}"
 FORMATS = (".spz", ".sog")
-# lambda_r of the trainings.
+# lambda_r of the training runs.
 RATES = (0.001, 0.004, 0.015)
-# Trainings at a time.
+# Training runs at a time.
 JOBS = 2
 
 
@@ -159,7 +159,7 @@ def coded_record(source: Source, rate: float, steps: int, folder: Path) -> Recor
 NOTE = (
     "Test cameras compare the eight-bit renderings of all files with those of the splat file, by scikit-image. SPZ and",
     "SOG are read by the program that wrote them, and rendered as plain 3DGS.",
-    f"Two trainings in parallel, one thread each. {TOOL} is a third-party program.",
+    f"Two training runs in parallel, one thread each. {TOOL} is a third-party program.",
 )
 
 

@@ -2,8 +2,8 @@
 
 python -m benchmarks.train_sources [NAME]
 
-The generator decodes and encodes the existing vectors. A training gives the same file only on the same machine with the
-same libraries. The present vectors were trained for an earlier layout, and converted with the same values. After a
+The generator decodes and encodes the existing vectors. A training run gives the same file only on the same machine with
+the same libraries. The present vectors were trained for an earlier layout, and converted with the same values. After a
 training, `conformance generate` updates the manifest.
 """
 
@@ -28,7 +28,7 @@ VALID = ROOT / "vectors" / "valid"
 
 @dataclass(frozen=True)
 class Source:
-    """A training: photographs, size of images, settings, and the form of positions and weights."""
+    """A training run: photographs, size of images, settings, and the form of positions and weights."""
 
     photographs: str
     size: tuple[int, int]

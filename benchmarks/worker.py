@@ -3,7 +3,7 @@
 It prepares itself, runs once without measurement, and prints a line of JSON:
 
 - `missing`: the reason why it cannot take part; then it ends. Or
-- `digest`: that of its result, or null for a contender that is not a decoder; `says`: what the times include.
+- `digest`: that of its result, or null for a contender that is not a decoder; `says`: the scope of the times.
 
 Then it runs once for each line of its input, and prints `seconds`, `processor` (seconds of all its threads and
 processes) and, if it has any, the processor seconds of its `parts`.
@@ -41,7 +41,7 @@ WHOLE_OUTPUT = "all symbols and float32 values"
 class Ready:
     """A prepared contender.
 
-    run: the timed function, which returns a result. digest: of a result, or None. says: what the times include. parts:
+    run: the timed function, which returns a result. digest: of a result, or None. says: the scope of the times. parts:
     returns the processor seconds of the parts of a result.
     """
 

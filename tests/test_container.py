@@ -1,6 +1,6 @@
-"""The commands where little is allowed: the package is read-only, there is no home, no cache, no shared memory.
+"""The commands with few permissions: the package is read-only, there is no home, no cache, no shared memory.
 
-That is how a container runs a program. A command works there, or it says in one line what it lacks.
+A container runs programs in this way. A command works there, or it reports in one line what is missing.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The house stands as ARCHITECTURE.md draws it: rooms in one order."""
+"""The imports between packages follow the order in ARCHITECTURE.md."""
 
 from __future__ import annotations
 

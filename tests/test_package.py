@@ -1,4 +1,4 @@
-"""The project as a package: what is built holds all that its commands need, far from any checkout."""
+"""The project as a package: the build contains everything that its commands need, without a checkout."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Whether a GPU trains as the CPU does: see __main__."""
+"""A comparison of training on a GPU with training on the CPU: see __main__."""

@@ -1,11 +1,11 @@
-"""Whether a GPU trains as the CPU does.
+"""Compares training on a GPU with training on the CPU.
 
 python -m benchmarks.gpu              compares the two on this machine, in at most 20 minutes, and prints a table
 python -m benchmarks.gpu --results    writes it into benchmarks/RESULTS.md, too
 
 It needs an NVIDIA GPU, nvcc, torch for CUDA and gsplat, but no network: the photographs are in examples/.
-The exit status is 0 if the two agree, 1 if they do not, 69 where there is no GPU or something to use it is missing, and
-70 if it is not done in time.
+The exit status is 0 if the two agree, 1 if they do not, 69 without a GPU or the software for it, and 70 if the time
+limit is exceeded.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ gsplat is compiled with nvcc when it is first imported, which takes minutes."""
 
 
 def missing() -> str | None:
-    """What this machine lacks, in one line; None if it has all."""
+    """The missing parts of this machine in one line, or None."""
     if not torch.cuda.is_available():
         return f"there is no GPU that torch {torch.__version__} can use"
     if shutil.which("nvcc") is None:
@@ -64,7 +64,7 @@ def section(size: Size, deadline: float) -> tuple[list[str], bool]:
         "",
         machine("torch", "gsplat"),
         f"GPU: {torch.cuda.get_device_name()}, CUDA {torch.version.cuda}.",
-        f"caliterra; single steps of {size.sides[0]} pixels, trainings of {size.sides[1]} pixels and",
+        f"caliterra; single steps of {size.sides[0]} pixels, training runs of {size.sides[1]} pixels and",
         f"{size.steps[1]} steps, {size.anchors:,} anchors at first. Differences of gradients and bytes are relative.",
         "",
         *table(HEAD, [row.cells for row in rows]),

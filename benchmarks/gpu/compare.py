@@ -1,4 +1,4 @@
-"""The comparisons: single steps from one state, and whole trainings with their files."""
+"""The comparisons: single steps from one state, and whole training runs with their files."""
 
 from __future__ import annotations
 
@@ -31,18 +31,18 @@ from ..large import ROOT
 EXAMPLES = ROOT / "examples" / "photographs"
 ENVIRONMENT = {**os.environ, "OMP_WAIT_POLICY": "PASSIVE", "NUMBA_NUM_THREADS": "1"}
 
-# What may differ. Images and gradients differ where an alpha of 1/255 falls on the other side (splat.draw), on the mean
-# by far less than a step of eight bits. Trainings differ because rounding differs: so much lies between two seeds.
+# The allowed differences. Images and gradients differ where an alpha of 1/255 falls on the other side (splat.draw), on
+# the mean by far less than a step of eight bits. Training runs differ by rounding, as much as two seeds do.
 IMAGE, GRADIENT, PSNR, BYTES = 1e-4, 1e-2, 0.3, 0.03
 
 
 class LateError(Exception):
-    """The time is over."""
+    """The time limit is exceeded."""
 
 
 @dataclass(frozen=True)
 class Size:
-    """How much is compared. sides: longest in pixels, of single steps and of trainings. steps: of each of the two."""
+    """The size of the comparison. sides: longest in pixels, of single steps and of training runs. steps: of each."""
 
     sides: tuple[int, int] = (200, 200)
     steps: tuple[int, int] = (200, 1000)
@@ -51,7 +51,7 @@ class Size:
 
 @dataclass(frozen=True)
 class Row:
-    """A line of the table. limit: what the difference may be at most; None where it is only told."""
+    """A line of the table. limit: the largest allowed difference; None if it is only reported."""
 
     what: str
     cpu: str
@@ -66,7 +66,7 @@ class Row:
 
     @property
     def cells(self) -> list[str]:
-        """As the table has it."""
+        """The cells of the table."""
         told = ["" if v is None else f"{v:.2g}" for v in (self.difference, self.limit)]
         return [self.what, self.cpu, self.other, *told, "" if self.limit is None else "yes" if self.holds else "**no**"]
 
@@ -77,7 +77,7 @@ class Row:
 def steps_agree(device: str, work: Path, size: Size) -> list[Row]:
     """One step from the same state on the CPU and on a device: before there is a rate, and when all is rounded.
 
-    In neither do random numbers matter: there is no noise, and the rate counts all anchors.
+    Neither depends on random numbers: there is no noise, and the rate counts all anchors.
     """
     photographs = read_photographs(EXAMPLES / "caliterra", size.sides[0])
     changes = {
@@ -85,7 +85,7 @@ def steps_agree(device: str, work: Path, size: Size) -> list[Row]:
         "start.anchors": size.anchors,
         "sampling.share": 1.0,
         "sampling.among": "all",
-        # No anchor comes or goes, so that rows before and after a step are the same.
+        # No anchor is added or removed, so that rows before and after a step are the same.
         "growth.period": size.steps[0] + 1,
     }
     settings = varied(TrainSettings(), changes)
@@ -143,12 +143,12 @@ def networks_agree(device: str) -> Row:
     return Row("digest of a file, its networks on each", wanted[:8], found[:8], float(found != wanted), 0.0)
 
 
-# --- whole trainings --------------------------------------------------------------------------------------------------
+# --- whole training runs ----------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """A training and its file. again: the digest of the file that is made of the decoded one."""
+    """A training run and its file. again: the digest of the file that is made of the decoded one."""
 
     psnr: float
     size: int
@@ -159,7 +159,7 @@ class Outcome:
 
 
 def trained(device: str, work: Path, size: Size, deadline: float) -> Outcome:
-    """Trains, encodes, decodes, and encodes what was decoded. Raises LateError, and SystemExit if a command fails."""
+    """Trains, encodes, decodes, and encodes the decoded scene. Raises LateError, and SystemExit if a command fails."""
     folder, file, second = work / device, work / f"{device}.c3gs", work / f"{device}-again.c3gs"
     photographs, side = str(EXAMPLES / "caliterra"), str(size.sides[1])
     said = _caller(deadline)
@@ -198,7 +198,7 @@ def _caller(deadline: float) -> Callable[..., str]:
 
 
 def trainings_agree(cpu: Outcome, other: Outcome) -> list[Row]:
-    """The rows about two trainings."""
+    """The rows about two training runs."""
     same = [outcome.digest == outcome.again for outcome in (cpu, other)]
     told = ["the same" if each else "another" for each in same]
     return [

@@ -64,7 +64,7 @@ class Run:
         return "-".join([*words, f"{self.steps}", *self.changes]).replace("/", "_")
 
     def record(self, seconds: float, settings: Any, files: Record, **more: Any) -> Record:
-        """What its JSON file says: itself, processor seconds of the training, and each kind of file that it made."""
+        """The content of its JSON file: the run, processor seconds of training, and each kind of file that it made."""
         own = {"scene": self.scene, "method": self.method, "strength": self.strength, "seed": self.seed}
         own |= {"size": self.size, "steps": self.steps, "changes": list(self.changes)}
         return {**own, "seconds": round(seconds, 2), "files": files, **more, "settings": document(settings)}
@@ -141,7 +141,7 @@ def train_splats(
     """Trains a plain 3DGS and writes its PLY file. After an interrupt it saves its state and returns None.
 
     resume: from the saved state beside the output. Raises ValueError for unusable photographs, and for a saved state
-    that is damaged or of another training.
+    that is damaged or of another training run.
     """
     trainer, state = SplatTrainer(photographs, settings), output.with_suffix(".train-state")
     if resume:

@@ -1,8 +1,8 @@
 """Every constant of the plain 3DGS trainer, with a meaning, a unit, a default and a source.
 
 The source "3DGS" is Kerbl et al., "3D Gaussian Splatting for Real-Time Radiance Field Rendering" (2023), with the
-values of its published code. Its trainings have 30,000 steps. Its step numbers become shares of the steps here, so that
-a short training has the same order of events. Periods of recovery are in steps, as in 3DGS.
+values of its published code. Its training runs have 30,000 steps. Its step numbers become shares of the steps here, so
+that a short training has the same order of events. Periods of recovery are in steps, as in 3DGS.
 """
 
 # setting() returns a field.
@@ -17,7 +17,7 @@ from refcodec.train.settings import GS, OWN, Decay, setting
 
 @dataclass(frozen=True)
 class RateSettings:
-    """Adam's learning rates. Some begin higher than in 3DGS, for short trainings, and end at the values of 3DGS."""
+    """Adam's learning rates. Some begin higher than in 3DGS, for short training runs, and end at its values."""
 
     mean: Decay = setting(Decay(6.4e-4, 1.6e-6), "of means, times the scene's extent", f"{OWN}; {GS}: 1.6e-4 to 1.6e-6")
     base: Decay = setting(Decay(0.01, 0.0025), "of the harmonics of degree 0", f"{OWN}; {GS}: 0.0025")
@@ -72,7 +72,7 @@ class DensitySettings:
 
 @dataclass(frozen=True)
 class SplatSettings:
-    """A training of a plain 3DGS from photographs."""
+    """A training run of a plain 3DGS from photographs."""
 
     steps: int = setting(2000, "steps of training, a photograph each", f"{OWN}; {GS}: 30,000", unit="steps", low=1)
     seed: int = setting(0, "of all random numbers", low=0, high=2**63 - 1)

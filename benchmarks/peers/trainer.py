@@ -40,7 +40,7 @@ def view_settings(photographs: PhotographSet, near: float) -> Settings:
 
 
 class SplatTrainer:
-    """A training in progress (a Savable of refcodec.train.state).
+    """A training run in progress (a Savable of refcodec.train.state).
 
     splats: its Gaussians. done: finished steps. seconds: processor time of all steps except the first, which compiles.
     loss: of the last step.

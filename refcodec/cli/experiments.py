@@ -135,7 +135,7 @@ A cell is SCENE/METHOD/rate-R/seed-S: one training, encode, eval --json. It is d
 complete and was made by the same commands, settings, photographs and version of refcodec. The command runs the other
 cells, and continues interrupted ones. DIR gets results.csv (a row for each cell), tables.md (means and sample standard
 deviations over seeds, BD-rates) and curves/ (PNG, SVG).
-Ctrl-C stops the trainings, which keep their state.
+Ctrl-C stops the training runs, which save their state.
 
 --engine ray runs cells on Ray, on this machine or on the cluster of RAY_ADDRESS. All machines of a cluster need
 refcodec, and DIR and the photographs under the same paths. A cell requests --threads processors (default: 1), and with
@@ -164,7 +164,7 @@ def _add_demo(commands: Any) -> None:
         ],
         "The page is DIR/index.html. It takes about six minutes on two cores. Ctrl-C ends the training early and\n"
         "shows the result so far. The same command continues, and repeats nothing. Options of train apply to both\n"
-        "trainings.\n"
+        "training runs.\n"
         "Needs: pip install 'refcodec[demo]'.",
         parents=[train_options.parser()],
     )
@@ -217,7 +217,9 @@ def _add_rd(commands: Any) -> None:
         metavar="CSV",
         help="a table with columns bytes and psnr: print BD-rate and BD-PSNR with this curve as reference",
     )
-    rd.add_argument("--jobs", type=positive, metavar="N", default=2, help="parallel trainings (default: %(default)s)")
+    rd.add_argument(
+        "--jobs", type=positive, metavar="N", default=2, help="training runs in parallel (default: %(default)s)"
+    )
     rd.add_argument("--size", metavar="WxH", help="size to which photographs are averaged down, or longest side")
     rd.add_argument("--preset", choices=("fast", "paper"), default="fast", help="as for train (default: %(default)s)")
     for name, kind in (("steps", positive), ("seed", seed), ("device", str)):

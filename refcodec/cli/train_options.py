@@ -1,4 +1,4 @@
-"""The options of train that concern the data set. demo and rd pass them on to their trainings."""
+"""The options of train that concern the data set. demo and rd pass them to their training runs."""
 
 # Modules that need NumPy are imported where they are used, so that help is instant.
 # ruff: noqa: PLC0415

@@ -82,7 +82,7 @@ class _Gltf:
         return value
 
     def column(self, attributes: dict[str, Any], name: str, width: int, count: int | None) -> NDArray[np.float64]:
-        """Returns an attribute of the vertices, float64 [count, width]. count: None for what the file states."""
+        """Returns an attribute of the vertices, float64 [count, width]. count: None for the stated one."""
         if name not in attributes:
             raise self.fault(f"it has no attribute {name}")
         accessor = self.item("accessors", attributes[name])

@@ -45,7 +45,7 @@ SHARE, MARGIN = 0.99, 1.1
 NEAR, NEAR_MAX = 0.01, 0.2
 # Every N-th picture is for tests.
 TEST_EVERY = 8
-# The number of initial points of a training, drawn from Gaussians that are not nearly transparent.
+# The number of initial points of a training run, drawn from Gaussians that are not nearly transparent.
 POINTS, OPAQUE = 200_000, 0.1
 AXES = {f"{sign}{axis}": (1 if sign == "+" else -1) * np.eye(3)[i] for sign in "+-" for i, axis in enumerate("xyz")}
 

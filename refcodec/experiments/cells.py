@@ -1,4 +1,4 @@
-"""The cells of an experiment: one training each, its commands, and what its result depends on."""
+"""The cells of an experiment: one training run each, its commands, and the inputs of its result."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from .plan import Experiment, Method, Scene
 from .runs import Command, has
 
 FORMAT = "C3GS cell"
-# Below a cell's folder: what its commands make, the lines that they print to stderr, and the result.
+# Names in a cell's folder: the outputs of its commands, their lines on stderr, and the result.
 WORK, LOG, RESULT = "work", "log.txt", "result.json"
-# Stand for paths in a definition, which does not depend on where things lie.
+# They stand for paths in a definition, which does not depend on the places of files.
 _PHOTOGRAPHS, _HERE = Path("PHOTOGRAPHS"), Path()
 
 
@@ -45,11 +45,11 @@ class Cell:
         return f"{self.scene.name}/{self.method.name}/rate-{self.rate:g}/seed-{self.seed}"
 
     def folder(self, root: Path) -> Path:
-        """Where all of it is. root: the experiment's folder."""
+        """The cell's folder. root: the experiment's folder."""
         return root / "cells" / self.name
 
     def commands(self, work: Path, photographs: Path, threads: int) -> tuple[Command, ...]:
-        """The chain that makes its figures: train, encode, eval. work: a folder for what they make.
+        """The chain of commands that makes its figures: train, encode, eval. work: the folder of their outputs.
 
         threads: of the training; no result depends on them.
         """
@@ -84,7 +84,7 @@ class Cell:
         return (train, *coded, Command(self.name, shown, work / "eval.json", ((coded or (train,))[0].name,), True))
 
     def definition(self, photographs: str) -> dict[str, Any]:
-        """All that its result depends on. photographs: their digest."""
+        """All inputs of its result. photographs: their digest."""
         commands = self.commands(_HERE, _PHOTOGRAPHS, 1)
         return {
             "refcodec": __version__,
@@ -115,7 +115,7 @@ def hash_of(definition: dict[str, Any]) -> str:
 
 
 def read_result(folder: Path) -> dict[str, Any] | None:
-    """The result of a cell's folder, or None if there is none, or none that is whole.
+    """The result in a cell's folder, or None if it is missing or incomplete.
 
     Its hash is that of the definition in it. Raises RunError for something else in its place, and OSError for one that
     cannot be read.

@@ -1,4 +1,4 @@
-"""What `refcodec experiment` does: runs what is missing, then writes the tables of all that is there."""
+"""The work of `refcodec experiment`: it runs the missing cells, then writes the tables of all cells that are done."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ CURVES = "curves"
 
 @dataclass(frozen=True)
 class Options:
-    """Of the command.
+    """The options of the command.
 
-    jobs: cells at a time, None for the engine's own number. threads: of each training, None likewise. only: patterns of
-    the cells to run, none for all. tables: whether nothing is run.
+    jobs: cells at a time, None for the engine's own number. threads: of each training run, None likewise. only:
+    patterns of the cells to run, none for all. tables: whether nothing is run.
     """
 
     file: Path
@@ -42,7 +42,8 @@ class Options:
 def run_experiment(options: Options) -> int:
     """Returns the exit status.
 
-    Raises ExperimentError for what is wrong before anything runs, RunError for an engine that cannot run, OSError.
+    Raises ExperimentError for a fault that is found before anything runs, RunError for an engine that cannot run,
+    and OSError.
     """
     experiment = read_experiment(options.file)
     chosen = list(cells(experiment, options.only))
@@ -81,7 +82,7 @@ def run_experiment(options: Options) -> int:
 
 
 def _engine(options: Options, folder: Folder) -> tuple[int, Engine]:
-    """The threads of each training, and what runs them."""
+    """The threads of each training run, and the engine that runs them."""
     if options.engine == "ray":
         return options.threads or 1, OnRay(folder.path.absolute(), options.jobs)
     jobs = options.jobs or 2
@@ -89,7 +90,7 @@ def _engine(options: Options, folder: Folder) -> tuple[int, Engine]:
 
 
 def _write_tables(experiment: Experiment, folder: Folder) -> None:
-    """Tables and curves of all cells of the experiment that are done, whichever call ran them."""
+    """Writes tables and curves of all cells that are done, including those of earlier calls."""
     every = list(cells(experiment))
     state = look(experiment, folder, every, need=False)
     missing = _missing(every, state)

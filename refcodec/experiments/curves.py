@@ -12,7 +12,7 @@ from .tables import Row, grouped, spread
 
 
 def write_curves(folder: Path, rows: Sequence[Row]) -> None:
-    """SCENE.png and SCENE.svg for each scene. Points are means over seeds, bars their sample standard deviations."""
+    """Writes SCENE.png and SCENE.svg for each scene. Points are means over seeds, bars sample deviations."""
     folder.mkdir(exist_ok=True)
     # The same rows give the same SVG.
     with mpl.rc_context({"svg.hashsalt": "C3GS"}):

@@ -1,4 +1,4 @@
-"""Photographs as all trainings and evaluations of a folder of results take them."""
+"""The photographs that all training runs and evaluations of a folder of results use."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ class DataSet:
 
     @property
     def trained(self) -> tuple[str, ...]:
-        """Arguments of `train`."""
+        """The arguments of `train`."""
         return *self.options, "--size", self.size
 
     @property
     def evaluated(self) -> tuple[str, ...]:
-        """Arguments of `eval`. A scene has its background, and a file does not say what was held out."""
+        """The arguments of `eval`. A scene has its background. A file does not state the held-out photographs."""
         held_out = () if self.holdout == TEST_EVERY else ("--holdout", str(self.holdout))
         return "--size", self.size, *held_out

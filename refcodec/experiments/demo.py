@@ -30,7 +30,7 @@ EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "photographs"
 TITLES = {"caliterra": "A building site from the air", "snowmiku": "A plush doll"}
 # lambda_r: the paper's middle.
 RATE = 0.004
-# Two parallel trainings on two cores, six minutes in total.
+# Two parallel training runs on two cores take six minutes in total.
 STEPS = 6000
 
 UNCOMPRESSED, CODED = "uncompressed", "coded"
@@ -59,7 +59,7 @@ FILES = {
 
 @dataclass(frozen=True)
 class Demo:
-    """The settings of a demo. folder: for the results. steps: of each training."""
+    """The settings of a demo. folder: for the results. steps: of each training run."""
 
     folder: Path
     photographs: DataSet
@@ -92,7 +92,7 @@ class Demo:
         return [self._training(UNCOMPRESSED, 0), self._training(CODED, RATE)]
 
     def rest(self) -> list[list[Command]]:
-        """The commands after the trainings: one chain for the file, one for the uncompressed scene."""
+        """The commands after training: one chain for the file, one for the uncompressed scene."""
         scene, file, decoded = (self.path(name) for name in (CODED, "scene.c3gs", "decoded"))
         return [
             [
@@ -118,7 +118,7 @@ def find_example(name: str) -> Path:
 def run_demo(folder: Path, photographs: DataSet, steps: int) -> tuple[Path, bool]:
     """Trains, encodes, decodes, evaluates and writes the page.
 
-    Finished commands with the same settings are not repeated. Returns the page's path, and whether the trainings
+    Finished commands with the same settings are not repeated. Returns the page's path, and whether both training runs
     finished. Raises RunError, also after Ctrl-C without results; PhotographError; SceneFolderError; UsageError if the
     folder is an input, or another run writes to it.
     """

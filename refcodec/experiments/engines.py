@@ -25,7 +25,7 @@ class Stop:
 
     @contextlib.contextmanager
     def on_signals(self) -> Iterator[None]:
-        """The signals of files.interrupts stop trainings, which keep their state. A second one kills them."""
+        """Makes the signals of files.interrupts stop training runs, which save their state. A second one kills them."""
 
         def handle(number: int, frame: FrameType | None) -> None:
             self.number = signal.SIGKILL if self.number else signal.SIGINT

@@ -1,4 +1,4 @@
-"""An experiment in its folder: what is there, what is missing, and the call that runs it."""
+"""An experiment in its folder: the cells that are done or missing, and the call that runs them."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _NAMED = 20
 
 
 class Folder:
-    """The folder of an experiment, which is made. Raises ExperimentError if there is something else in it, OSError.
+    """The folder of an experiment, which is created. Raises ExperimentError if it has other content, and OSError.
 
     A mark that cannot be read is an OSError: the folder may well be that of an experiment.
     """
@@ -53,8 +53,8 @@ class Folder:
 class State:
     """Which cells of an experiment are done. results: theirs, by name. photographs: digests by scene.
 
-    missing: cells that are not done. unknown: scenes whose photographs are not there, so that results are taken as
-    they are.
+    missing: cells that are not done. unknown: scenes whose photographs are missing, so that their results are used
+    unchecked.
     """
 
     results: dict[str, dict[str, Any]]
@@ -64,9 +64,9 @@ class State:
 
 
 def look(experiment: Experiment, folder: Folder, chosen: Sequence[Cell], need: bool) -> State:
-    """What is there of some cells.
+    """Returns which of some cells are done.
 
-    need: whether photographs must be there and be readable. Raises ExperimentError if they are not, PhotographError,
+    need: whether photographs must exist and be readable. Raises ExperimentError if they do not, PhotographError and
     OSError.
     """
     identities = Identities(folder.path / PHOTOGRAPHS)
@@ -85,7 +85,7 @@ def look(experiment: Experiment, folder: Folder, chosen: Sequence[Cell], need: b
         identities.save()
     for cell in chosen:
         result = read_result(cell.folder(folder.path))
-        # Photographs that are not there are taken for those of the result.
+        # Missing photographs are assumed to be those of the result.
         digest = state.photographs.get(cell.scene.name) or (result["definition"]["photographs"] if result else "")
         if result and result["hash"] == hash_of(cell.definition(digest)):
             state.results[cell.name] = result
@@ -97,11 +97,11 @@ def look(experiment: Experiment, folder: Folder, chosen: Sequence[Cell], need: b
 def _photographs(
     experiment: Experiment, scene: Scene, sizes: set[str], identities: Identities, need: bool
 ) -> str | None:
-    """The digest of a scene's photographs, None if they are not there and not needed."""
+    """The digest of a scene's photographs, None if they are missing and not needed."""
     try:
         path = experiment.photographs(scene)
         if need:
-            # What is wrong with them is said before anything runs.
+            # Faults in them are reported before anything runs.
             for size in sorted(sizes):
                 read_photographs(path, parse_size(size), holdout=TEST_EVERY if scene.holdout is None else scene.holdout)
         elif not path.is_dir():
@@ -116,7 +116,7 @@ def _photographs(
 
 
 def tasks(experiment: Experiment, folder: Folder, state: State, threads: int) -> list[Task]:
-    """What is missing, as engines run it. Rates and seeds come in their order, so that curves fill evenly."""
+    """Returns the missing cells as tasks for an engine, in the order of rates and seeds, so that curves fill evenly."""
     found = []
     for cell in state.missing:
         place = cell.folder(folder.path.absolute())
@@ -131,7 +131,7 @@ def tasks(experiment: Experiment, folder: Folder, state: State, threads: int) ->
 
 @dataclass
 class Watch:
-    """Says on stderr which cells begin and end, how many are left, and about how long those take."""
+    """Reports on stderr which cells begin and end, how many are left, and about how long those take."""
 
     total: int
     done: int
@@ -171,7 +171,7 @@ class Watch:
         note(f"{event}; {words}")
 
     def seconds_left(self, left: int) -> float | None:
-        """By the mean of the cells that are done in this call, None before the first. left: cells not begun."""
+        """Estimated from the mean time of the cells of this call, None before the first. left: cells not begun."""
         if not self._seconds or not self.running:
             return None
         mean, now = sum(self._seconds) / len(self._seconds), time.monotonic()
@@ -180,16 +180,16 @@ class Watch:
 
 
 def duration(seconds: float) -> str:
-    """Seconds as people say them."""
+    """A time in seconds as text for people."""
     if seconds < 100:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 6000 else f"{seconds / 3600:.1f} h"
 
 
 def run(engine: Engine, wanted: Sequence[Task], total: int) -> tuple[Watch, bool]:
-    """Runs tasks. Returns what became of them, and whether a signal stopped it.
+    """Runs tasks. Returns their outcomes, and whether a signal stopped the run.
 
-    total: cells, with those that were done before.
+    total: the number of cells, including those that were done before.
     """
     watch, stop = Watch(total, total - len(wanted)), Stop()
     with stop.on_signals():
@@ -198,6 +198,6 @@ def run(engine: Engine, wanted: Sequence[Task], total: int) -> tuple[Watch, bool
 
 
 def named(names: Sequence[str]) -> str:
-    """Names as a list of words; of many, the first."""
+    """Names as one text, which has only the first ones if they are many."""
     more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
     return ", ".join(names[:_NAMED]) + more

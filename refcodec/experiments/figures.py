@@ -1,4 +1,4 @@
-"""Figures of evaluations, and how far one curve of rate and distortion is from another."""
+"""Figures of evaluations, and the difference between two rate-distortion curves."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ Row = dict[str, float]
 
 
 def figures_of(evaluation: Mapping[str, Any]) -> Row:
-    """Of a document of `eval --json`: bytes of all and of each part, bits of it an anchor, anchors, means of FIGURES.
+    """The figures of a document of `eval --json`: bytes, bytes by part, bits per anchor, anchors, means of FIGURES.
 
-    headers: bytes of all that is none of the PARTS.
+    headers: bytes of everything outside the PARTS.
     """
     sections, anchors = evaluation["parts"], evaluation["anchors"]
     return {
@@ -43,9 +43,10 @@ def figures_of(evaluation: Mapping[str, Any]) -> Row:
 
 @dataclass(frozen=True)
 class Difference:
-    """Of a curve from another.
+    """The difference of a curve from another.
 
-    rate: BD-rate in percent, negative where it saves. psnr: BD-PSNR in dB. warning: if little of both is compared.
+    rate: BD-rate in percent, negative where it saves. psnr: BD-PSNR in dB. warning: a text if the curves have little
+    range in common.
     """
 
     rate: float
@@ -56,7 +57,7 @@ class Difference:
 def compare(anchor: Sequence[Row], test: Sequence[Row]) -> Difference:
     """The Bjontegaard deltas of the test curve from the anchor, by piecewise cubic interpolation, as JCTVC-L1100 does.
 
-    Uncompressed points are left out. Raises RunError if there is no answer.
+    Uncompressed points are left out. Raises RunError if the deltas cannot be computed.
     """
     curves = [
         sorted((point["bytes"], point["psnr"]) for point in curve if point.get("rate", 1) > 0)

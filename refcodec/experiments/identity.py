@@ -1,4 +1,4 @@
-"""Which photographs a folder holds: a digest of its files, which is kept until one of them changes."""
+"""The identity of the photographs in a folder: a digest of its files, which is cached until one of them changes."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ from .engines import Local, Stop
 from .runs import RunError
 from .work import Outcome, Task, Wanted, run_cell
 
-# Seconds between two looks at whether to stop.
+# Seconds between two checks for a stop request.
 _LOOK = 0.5
 
 
@@ -41,7 +41,7 @@ class OnRay:
     ) -> None:
         """As Engine. All tasks need as much as the first one.
 
-        Raises ModuleNotFoundError without Ray, RunError if there is no cluster, or no room in it.
+        Raises ModuleNotFoundError without Ray, and RunError without a cluster or with too few processors in it.
         """
         # The file states the signal to all machines.
         file = self.folder / f"stop-{uuid.uuid4().hex}"
@@ -102,7 +102,7 @@ def _ray() -> Iterator[Any]:
 
 def _run(task: Task, file: Path) -> Outcome:
     """Runs a task in a process of Ray."""
-    # Ray's processes hold SIGINT back, and so would the commands that they start.
+    # Ray's processes block SIGINT, and the commands that they start would inherit this.
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
 
     def wanted() -> int:

@@ -19,11 +19,11 @@ from ..photographs.photographs import PhotographError, parse_background, parse_s
 from ..train.settings import PRESETS, TrainSettings
 from ..train.settings_file import SettingsError, assigned, varied
 
-# Bounds of what is read: bytes of the file, entries of a list, cells.
+# Bounds of the input: bytes of the file, entries of a list, cells.
 SIZE_MAX, LIST_MAX, CELLS_MAX = 1 << 20, 1000, 100_000
 SEED_MAX = (1 << 63) - 1
 _VARIABLE = re.compile(r"\$\{([^}]*)\}")
-# Settings that have a key of their own, which is the one to use.
+# Settings with their own key, which must be used instead.
 _OWN_KEYS = {
     "rate.weight": "rates",
     "steps": "steps",
@@ -97,10 +97,10 @@ def _settable(changes: tuple[str, ...]) -> None:
 class Scene(Struct, forbid_unknown_fields=True, kw_only=True):
     """Photographs to learn from: a table [[scenes]].
 
-    photographs: the folder as the file has it. A path that is not absolute begins at the file's folder, and ${NAME}
+    photographs: the folder as the file states it. A path that is not absolute begins at the file's folder, and ${NAME}
     stands for a variable of the environment. size, background, holdout: of `train`, None for the preset's. voxel,
-    anchors: of the first anchors. rates: lambda_r of this scene, empty for those of all. assignments: NAME=VALUE for
-    `train --set`, the key `set`. group: the data set that it belongs to, its own name if the file has none.
+    anchors: of the first anchors. rates: lambda_r of this scene, empty for those of all scenes. assignments: NAME=VALUE
+    for `train --set`, the key `set`. group: the data set that it belongs to, its own name if the file has none.
     """
 
     name: Name
@@ -206,7 +206,7 @@ class Experiment:
     baseline: str | None
 
     def settings(self, scene: Scene, method: Method, rate: float, seed: int) -> TrainSettings:
-        """All settings of one training, as the command that trains it has them. Raises ExperimentError."""
+        """All settings of one training run, as its command has them. Raises ExperimentError."""
         options = {
             "rate.weight": rate,
             "steps": self.steps,
@@ -222,7 +222,7 @@ class Experiment:
             raise ExperimentError(f"method {method.name} of scene {scene.name}: {error}") from None
 
     def rates_of(self, scene: Scene, method: Method) -> tuple[float, ...]:
-        """The rates at which a method trains a scene: 0 alone for an uncompressed one."""
+        """The rates at which a method trains a scene: only 0 for an uncompressed one."""
         return (0.0,) if method.kind == "uncompressed" else scene.rates or self.rates
 
     def methods_of(self, scene: Scene) -> list[Method]:
@@ -266,7 +266,7 @@ _TABLES: dict[str, type[Struct]] = {"": _File, "scenes": Scene, "methods": Metho
 
 
 def _reason(error: msgspec.ValidationError, document: Any) -> str:
-    """Where a document is wrong, what it has there, and what is allowed."""
+    """The place of a fault in a document, the value there, and the allowed values."""
     text, _, place = str(error).partition(" - at `$")
     place = place.rstrip("`").lstrip(".")
     where, table = place or "the file", _TABLES.get(place.partition("[")[0])

@@ -1,4 +1,4 @@
-"""Rate and distortion: trainings at several rates, their figures as a table and a chart, and differences of curves."""
+"""Rate and distortion: training runs at several rates, their figures as a table and a chart, and curve differences."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ COLUMNS = ("rate", "bytes", *PARTS, "headers", "bits_per_anchor", "anchors", *FI
 
 @dataclass(frozen=True)
 class Settings:
-    """Of all trainings.
+    """The settings of all training runs.
 
-    folder: of the results. jobs: trainings at a time.
+    folder: of the results. jobs: training runs at a time.
     """
 
     folder: Path
@@ -57,8 +57,8 @@ def run_rd(
 ) -> tuple[list[Row], Difference | None]:
     """Trains, encodes and evaluates at each rate, and writes the table and the chart.
 
-    What was done before in this folder with the same settings is not done again. Returns the table, and how far its
-    curve is from that of the table `against`. Raises RunError, also after Ctrl-C; PhotographError; UsageError if an
+    Finished commands in this folder with the same settings are not repeated. Returns the table, and the difference
+    of its curve from that of the table `against`. Raises RunError, also after Ctrl-C; PhotographError; UsageError if an
     output is an input, or another run writes to the folder.
     """
     other = read_curve(against) if against else None
@@ -105,7 +105,7 @@ def _row(settings: Settings, rate: float, notes: Notes) -> Row:
 def write_table(path: Path, rows: Sequence[Row]) -> None:
     """Rows with COLUMNS as CSV.
 
-    They are bytes of the file and its parts (float32 at rate 0), bits of it an anchor, means of the figures over the
+    They are bytes of the file and its parts (float32 at rate 0), bits per anchor, means of the figures over the
     held-out images, and seconds of training.
     """
     text = io.StringIO(newline="")

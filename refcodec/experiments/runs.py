@@ -1,4 +1,4 @@
-"""refcodec's own commands as processes, several at a time. What is done is noted in a file, and not done again."""
+"""refcodec's own commands as processes, several at a time. Finished commands are noted in a file, and not repeated."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ PROGRAM = (sys.executable, "-m", "refcodec")
 # Lines of a failed command's stderr that are worth repeating.
 _LAST_LINES = 12
 
-# What `refcodec eval` measures.
+# The measures of `refcodec eval`.
 FIGURES = {"psnr", "ssim", "psnr_3dgs", "ssim_3dgs"}
 
 Show = Callable[[str, str], None]
@@ -52,9 +52,9 @@ class OtherFolderError(RunError):
 class Command:
     """refcodec with some arguments.
 
-    subject: what it works on, a line of progress. output: what it makes. after: names of commands whose output it
-    reads. printed: whether its output is what it prints. state: what it leaves when it is interrupted, to go on with
-    --resume. free: further arguments on which its output does not depend, such as its threads.
+    subject: the name of its line of progress. output: the file or folder that it makes. after: names of commands
+    whose output it reads. printed: whether its output is its stdout. state: the file that an interrupted command
+    leaves, for --resume. free: further arguments on which its output does not depend, such as its threads.
     """
 
     subject: str
@@ -77,9 +77,9 @@ class Command:
 
 
 def has(path: Path) -> bool:
-    """Whether a file that a command makes is there. Raises RunError for something else in its place, OSError.
+    """Whether the output of a command exists. Raises RunError for something else in its place, and OSError.
 
-    One that is there and cannot be read is not missing: what it took hours to make would be made again.
+    An unreadable output is not missing, so that hours of work are not repeated.
     """
     try:
         return is_there(path)
@@ -88,7 +88,7 @@ def has(path: Path) -> bool:
 
 
 def _are_notes(value: Any) -> bool:
-    """Whether a value of JSON is what Notes has of its commands."""
+    """Whether a JSON value has the form of the commands of Notes."""
 
     def texts(value: Any) -> bool:
         return isinstance(value, list) and all(isinstance(text, str) for text in value)
@@ -104,34 +104,34 @@ def _are_notes(value: Any) -> bool:
 
 
 def is_number(value: Any) -> bool:
-    """Whether a value of JSON is a number."""
+    """Whether a JSON value is a number."""
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def read_result(path: Path, *right: Callable[[Any], bool]) -> Any:
-    """Returns what a command has written as JSON. right: what has to hold of it. Raises RunError."""
+    """Returns the JSON output of a command. right: the condition that it must meet. Raises RunError."""
     try:
         found = read_json(path)
-        # A check that comes upon a value of another type is not met.
+        # A check that meets a value of another type has failed.
         if all(check(found) for check in right):
             return found
-        problem = "it is not what the command writes"
+        problem = "it is not the output of the command"
     except DocumentError as error:
         problem = f"it is not JSON ({error})"
     except (KeyError, TypeError, AttributeError):
-        problem = "it is not what the command writes"
+        problem = "it is not the output of the command"
     except OSError as error:
         problem = error.strerror or str(error)
     raise RunError(f"{path}: {problem}; remove it, and the same command makes it again")
 
 
 def is_report(found: Any) -> bool:
-    """Whether a document is a training.json, as far as it is used."""
+    """Whether a document has the used fields of a training.json."""
     return is_number(found["steps"]) and all(is_number(e["seconds"]) and is_number(e["psnr"]) for e in found["history"])
 
 
 def is_evaluation(found: Any) -> bool:
-    """Whether a document is what `refcodec eval --json` prints, as far as it is used."""
+    """Whether a document has the used fields of the output of `refcodec eval --json`."""
     return (
         is_number(found["bytes"])
         and is_number(found["anchors"])
@@ -144,7 +144,7 @@ def is_evaluation(found: Any) -> bool:
 
 @dataclass
 class Notes:
-    """What was run in a folder: a JSON file there. format: what kind of folder it is."""
+    """The record of the commands of a folder: a JSON file in it. format: the kind of folder."""
 
     path: Path
     format: str
@@ -153,9 +153,9 @@ class Notes:
 
     @classmethod
     def open(cls, folder: Path, name: str, format: str) -> Notes:
-        """The notes of a folder, which is made.
+        """Opens the notes of a folder, which is created.
 
-        Raises OtherFolderError if there is something else in it, and RunError if it cannot be read or written.
+        Raises OtherFolderError if it has other content, and RunError if it cannot be read or written.
         """
         path = folder / name
         try:
@@ -179,21 +179,21 @@ class Notes:
         write_file(self.path, text.encode())
 
     def is_done(self, command: Command) -> bool:
-        """Whether it was run to its end with these arguments, and its output is there. Raises RunError, OSError."""
+        """Whether a command finished with these arguments, and its output exists. Raises RunError and OSError."""
         note = self.commands.get(command.name, {})
         return bool(note.get("done")) and note["arguments"] == list(command.arguments) and has(command.output)
 
     def can_resume(self, command: Command) -> bool:
-        """Whether it was interrupted with these arguments, and left what it goes on from. Raises RunError, OSError."""
+        """Whether a command with these arguments was interrupted and left its state. Raises RunError and OSError."""
         note = self.commands.get(command.name, {})
         return command.state is not None and has(command.state) and note.get("arguments") == list(command.arguments)
 
     def seconds(self, name: str) -> float:
-        """How long a command ran, with the runs that were interrupted."""
+        """The wall time of a command, including interrupted runs."""
         return float(self.commands[name]["seconds"])
 
     def processor_seconds(self, name: str) -> float:
-        """How long processors worked for a command, with the runs that were interrupted."""
+        """The processor time of a command, including interrupted runs."""
         return float(self.commands[name].get("processor_seconds", 0.0))
 
     def begin(self, command: Command) -> None:
@@ -230,7 +230,7 @@ class Notes:
 class Runner:
     """Runs chains of commands, `jobs` at a time.
 
-    show: gets the subject of a command and each line that it writes to stderr. held: file descriptors that the
+    show: receives the subject of a command and each line that it writes to stderr. held: file descriptors that the
     processes inherit. Under run(), the signals of files.interrupts are passed on to the processes as SIGINT, so that
     training runs save their state. A second signal kills them.
     """
@@ -241,7 +241,7 @@ class Runner:
         self._stopped = False
 
     def run(self, chains: Sequence[Sequence[Command]]) -> bool:
-        """Runs what is not done yet. Returns whether all of it is done now: False if it was interrupted.
+        """Runs the commands that are not done. Returns whether all are done now: False after an interrupt.
 
         Raises RunError if a command fails.
         """
@@ -269,7 +269,7 @@ class Runner:
             _send(process, number)
 
     def chain(self, commands: Sequence[Command]) -> None:
-        """Runs what is not done yet, one after the other, until stop(). Raises RunError if a command fails."""
+        """Runs the commands that are not done, one after the other, until stop(). Raises RunError if one fails."""
         for command in commands:
             if self._stopped:
                 return
@@ -353,7 +353,7 @@ def _send(process: subprocess.Popen[str], number: int) -> None:
 def shown(names: Sequence[str]) -> Iterator[Show]:
     """Shows the stderr output of the commands, by subject.
 
-    On a terminal each has a line, which is overwritten. Elsewhere lines follow each other.
+    On a terminal each subject has one line, which is overwritten. Elsewhere all lines are kept.
     """
     width = max(len(name) for name in names)
     if not sys.stderr.isatty():

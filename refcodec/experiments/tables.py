@@ -20,7 +20,7 @@ COLUMNS = (
     *("scene", "method", "rate", "seed", *SIZES, "bits_per_anchor", "anchors", *FIGURES, "steps", "seconds"),
     *("processor_seconds", "sha256"),
 )
-# How tables.md names figures, and the digits that it gives.
+# The names of the figures in tables.md, and their digits.
 _SHOWN = {"psnr": ("PSNR, dB", 2), "ssim": ("SSIM", 4)}
 _SHOWN |= {name: (name, 0) for name in (*SIZES, "anchors")} | {"processor_seconds": ("processor s", 0)}
 
@@ -36,19 +36,19 @@ class Spread:
     count: int
 
     def text(self, digits: int) -> str:
-        """As tables show it: mean and deviation, and the number of values where it is not stated elsewhere."""
+        """The text in tables: mean and deviation, and the number of values where it is not stated elsewhere."""
         mean = f"{self.mean:,.{digits}f}"
         return mean if math.isnan(self.deviation) else f"{mean} ± {self.deviation:,.{digits}f}"
 
 
 def spread(values: Sequence[float]) -> Spread:
-    """Of one value or more."""
+    """The spread of one value or more."""
     deviation = statistics.stdev(values) if len(values) > 1 else math.nan
     return Spread(statistics.fmean(values), deviation, len(values))
 
 
 def row(cell: Cell, result: Mapping[str, Any]) -> Row:
-    """The COLUMNS of a cell. `seconds` and `processor_seconds` are those of its training."""
+    """The COLUMNS of a cell. `seconds` and `processor_seconds` are those of its training run."""
     return {
         "scene": cell.scene.name,
         "method": cell.method.name,
@@ -88,7 +88,7 @@ def grouped(rows: Sequence[Row], *keys: str) -> dict[tuple[Any, ...], list[Row]]
 class Delta:
     """A method's Bjontegaard deltas from the baseline on one scene, by seed.
 
-    rates: percent. psnrs: dB. reasons: why a seed has none.
+    rates: percent. psnrs: dB. reasons: why a seed has no deltas.
     """
 
     scene: str
@@ -154,7 +154,7 @@ def _bd(rows: Sequence[Row], baseline: str, groups: Mapping[str, str]) -> Iterat
         body.append([one.scene, one.method, str(len(one.rates)), *cells, ", ".join(seeds), "; ".join(notes)])
     yield from _table(["scene", "method", "n", "BD-rate, %", "BD-PSNR, dB", "BD-rate of each seed", "notes"], body)
     yield from ["", "Piecewise cubic interpolation (JCTVC-L1100) of the curve of each seed. Negative rates save bytes."]
-    # Data sets of several scenes.
+    # Only data sets of several scenes have a mean.
     means: dict[tuple[str, str], list[float]] = {}
     for one in found:
         if one.rates:
@@ -169,7 +169,7 @@ def _bd(rows: Sequence[Row], baseline: str, groups: Mapping[str, str]) -> Iterat
 
 
 def as_markdown(title: str, rows: Sequence[Row], missing: str, baseline: str | None, groups: Mapping[str, str]) -> str:
-    """All tables. missing: text that names the missing cells, or empty. groups: of scenes."""
+    """All tables. missing: text that names the missing cells, or empty. groups: the groups of scenes."""
     lines = [f"# {title}", ""]
     lines += [missing, ""] if missing else []
     lines += [

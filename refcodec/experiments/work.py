@@ -30,7 +30,7 @@ Wanted = Callable[[], int]
 
 @dataclass(frozen=True)
 class Task:
-    """A cell to run. folder: of the cell. definition: what its result depends on. threads, gpus: what it needs."""
+    """A cell to run. folder: of the cell. definition: the inputs of its result. threads, gpus: its resources."""
 
     name: str
     folder: Path

@@ -12,7 +12,7 @@ from .probes import geometry, predictions, slices
 def anchor_rows(scene: Scene, number: int) -> Iterator[tuple[str, str, str]]:
     """Yields the quantities that clauses 7.4 to 7.10 compute for an anchor.
 
-    They lead from the position to the distributions and the symbols. Each is (what it is, clause, numbers). Raises
+    They lead from the position to the distributions and the symbols. Each is (description, clause, numbers). Raises
     IndexError for an anchor that the scene does not have.
     """
     if not 0 <= number < scene.anchor_count:

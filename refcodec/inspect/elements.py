@@ -160,7 +160,7 @@ def _payload(start: int, stop: int, end: int, path: str, kind: str) -> Iterator[
 
 
 def section_rows(data: Bytes, outline: Outline, place: Place) -> Iterator[Row]:
-    """Yields the elements of a section, without the padding behind it."""
+    """Yields the elements of a section, without the padding after it."""
     h, start, end = outline.header, place.start, place.end
     if place.type == FRAME:
         yield from parse_elements("Frame", data, start, end, "frame")[0]

@@ -205,7 +205,7 @@ class Meaning:
     """The meaning of an element.
 
     table, field: those of chapter 5, or empty for a payload.
-    words: what a payload holds.
+    words: the contents of a payload.
     clauses, requirements: in the order in which they are worth reading.
     """
 

@@ -21,7 +21,7 @@ def part_bytes(data: Bytes, outline: Outline, heads: bool = True) -> dict[str, i
 
     The parts are prologue, header, the critical sections but DATA by their names, the parts of all chunks (positions,
     masks and attributes), heads (of the chunks, with the padding of their parts), ancillary (all such sections), and
-    rest (bytes behind the last section). A section has its padding.
+    rest (bytes after the last section). A section has its padding.
 
     heads: whether the heads of the chunks are read. Otherwise data stands for the parts of all chunks and the heads.
     """

@@ -45,7 +45,7 @@ def anchor(heading: str) -> str:
 
 def clauses(spec: str) -> dict[str, Clause]:
     """Returns the clauses by number, in the order of SPEC.md."""
-    # A line of a code block that begins with # is no heading, but a comment of Python.
+    # A line that begins with # in a code block is a Python comment, not a heading.
     bare = re.sub(r"^```.*?^```", lambda block: re.sub(r"^#", " ", block[0], flags=re.M), spec, flags=re.S | re.M)
     heads = list(re.finditer(rf"^#{{2,4}} ((?:Annex )?({CLAUSE}):? (.*))$", bare, re.MULTILINE))
     listed = {}

@@ -96,11 +96,11 @@ class ChunkSizes:
 def document(data: Bytes, verdict: Verdict | BitstreamError | None, heads: bool = True) -> dict[str, Any]:
     """Returns the facts about a file as JSON values, and its chunks as ChunkSizes.
 
-    Nothing is decoded. What is read are the header, the tables at the beginning of sections, and the ancillary sections
-    that are shown.
+    Nothing is decoded. Only the header, the tables at the beginning of sections, and the shown ancillary sections are
+    read.
 
     verdict: the digest of an accepted file, or its first error, or None if the file was not decoded. heads: whether the
-    heads of the chunks are read, which says how long their parts are.
+    heads of the chunks are read, which state the lengths of their parts.
     """
     outline = outline_of(data)
     h, d = outline.header, outline.dimensions
@@ -166,7 +166,7 @@ def summary(facts: dict[str, Any], name: str) -> Iterator[str]:
     """Yields the facts of `document` as lines of text. name: that of the file."""
     p, h = facts["prologue"], facts["header"]
     version = f"C3GS version {p['major']}.{p['minor']}" if p else "C3GS version unknown"
-    # SPEC 6.1: of another file, no field means anything.
+    # SPEC 6.1: in any other file the fields have no meaning.
     signed = not p or b"C3GS".hex() in p["signature"]
     yield f"{name}: {facts['bytes']} bytes, {version if signed else 'not a C3GS file'}"
     if not signed:

@@ -25,7 +25,7 @@ def trace(data: bytes, write: Callable[[str], object]) -> Parsed:
     """Decodes a file and writes a line for each syntax element and each symbol, in decoding order.
 
     The columns are path, type or family of models, mean, scale and value. Tabs separate them. "-" stands for nothing.
-    Raises the BitstreamError of a file that is refused, after the lines of what was read before it.
+    Raises the BitstreamError of a file that is refused, after the lines of the elements before it.
     """
     write("path\tkind\tmean\tscale\tvalue\n")
     waiting = _trace_parts(data)
@@ -60,7 +60,7 @@ def symbol_trace(data: bytes, write: Callable[[str], object], *, probes: bool = 
 
     The substreams are in file order. The symbols of a substream are in the order of its CRC-32 (SPEC 8.8). probes: with
     the probes of each chunk, each before the symbols that are decoded with its numbers. Raises the BitstreamError of a
-    file that is refused, after the lines of what was decoded. It has no probes then.
+    file that is refused, after the lines of the decoded symbols. In this case it has no probes.
     """
     # The symbols of substreams that are decoded side by side are kept as text. Rows would take many times the memory.
     texts: dict[int, _Text] = {}
@@ -97,7 +97,7 @@ class _Text:
         self.attributes = False
 
     def enter(self, index: int) -> None:
-        """Tells that the next symbol is of a slice."""
+        """Records that the next symbol is of a slice."""
         if index not in self._places:
             self._places[index] = self._text.tell()
 
@@ -123,7 +123,7 @@ class _Text:
 
 
 def _trace_parts(data: bytes) -> Iterator[Row]:
-    """Yields the elements that are no symbols, in file order. Raw positions are values, one by one."""
+    """Yields the elements that are not symbols, in file order. Raw positions are values, one by one."""
     outline = outline_of(data)
     yield from rows_of(data, replace(outline, sections=[]))
     anchor = 0

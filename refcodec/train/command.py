@@ -62,16 +62,16 @@ def train(
 ) -> Trained:
     """Trains, and writes the scene folder and training.json. Prints the opening line on stderr.
 
-    threads: those of the rasteriser; all else uses one, and no result depends on them. resume: from the saved state.
+    threads: those of the rasteriser. The rest uses one, and no result depends on them. resume: from the saved state.
     progress: whether progress is printed in lines where there is no terminal. keep_state: whether the saved state stays
-    after the end, for a training with more steps. log: receives the history. metadata: entries of SPEC 6.14, for a
+    after the end, for a training run with more steps. log: receives the history. metadata: entries of SPEC 6.14, for a
     coded scene. given: a scene to continue, None to begin with points. up_axis: SPEC 6.5, None for the axis of the
     photographs.
 
     A state that cannot be saved does not end the training. A scene that cannot be written to `output` is written to
     the folder of temporary files, and the error names the path.
 
-    Raises ValueError for photographs that cannot be learnt from, and for what has been learnt but has no file.
+    Raises ValueError for photographs that do not suffice for training, and for a result that no file can hold.
     Raises StateError for a saved state that cannot be used, and OSError for a scene that cannot be written.
     """
     torch.set_num_threads(1)
@@ -86,7 +86,7 @@ def train(
     logging = Logging(log, trainer.looks.history) if log else lambda rows: None
     with shown(trainer, progress, logging) as watch:
         whole = trainer.run(watch, keep)
-    # The result takes what has not begun yet as begun, so a training could not continue from a state saved then.
+    # result() begins the stages that have not begun, so training could not continue from a state saved after it.
     result = trainer.result()
     if up_axis is not None:
         result = replace(result, render=replace(result.render, up_axis=up_axis))
@@ -113,7 +113,7 @@ def report(trainer: Trainer, result: Scene | Uncompressed) -> dict[str, Any]:
 
     bytes: those of each part, as estimated (uncompressed: exact); attributes are the sum of their kinds. quantised: the
     PSNR of each held-out photograph in 3DGS's convention, drawn by the training from the scene of integers. psnr: the
-    mean of these, or of those of the uncompressed scene, None if no photograph is held out. schedule: where a training
+    mean of these, or of those of the uncompressed scene, None if no photograph is held out. schedule: where training
     was extended last, as schedule.Clock.
     """
     quantised, views = {}, trainer.views

@@ -29,7 +29,7 @@ CONTINUED = (
 )
 # The logit of a masked offset: a share that is below any epsilon, whatever views see its anchor.
 MASKED = -16.0
-# A lattice of anchors that have none is so much finer than the distance of neighbours.
+# The lattice of anchors without one is finer by this factor than the distance of neighbours.
 FINER = 32
 # An anchor is on the lattice if it is this near to a corner, in cells.
 NEAR = 0.01
@@ -41,7 +41,7 @@ class BeginningError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class Beginning:
-    """What a training goes on from.
+    """The values from which training continues.
 
     lattice: int64 [N, 3]. tables: float32 [N, columns], as those of Scaffold; masks are logits. given: the scene.
     """
@@ -53,9 +53,9 @@ class Beginning:
 
 
 def continued_settings(given: Given, settings: TrainSettings) -> TrainSettings:
-    """Returns the settings of a training from a scene: slices of its features, and no growth.
+    """Returns the settings of a training run from a scene: slices of its features, and no growth.
 
-    Phases that somebody has set stay as they are. Raises ValueError for what cannot be trained.
+    Phases that the user has set do not change. Raises ValueError for values that cannot be trained.
     """
     slices = choose_slices(given.cloud.features.shape[1], settings.entropy.slices)
     continued = varied(settings, {"entropy.slices": slices})
@@ -63,7 +63,7 @@ def continued_settings(given: Given, settings: TrainSettings) -> TrainSettings:
 
 
 def beginning(given: Given, photographs: PhotographSet, settings: TrainSettings) -> Beginning:
-    """Returns the anchors of a scene on a lattice, in the units of a training.
+    """Returns the anchors of a scene on a lattice, in the units of a training run.
 
     Of anchors in one cell the first is taken. Raises BeginningError.
     """

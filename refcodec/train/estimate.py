@@ -1,4 +1,4 @@
-"""Bytes that a file would have of a training as it is."""
+"""Estimates the bytes of a file from the current state of training."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from .export import position_bytes, weight_bytes
 from .scaffold import Scaffold
 from .stages.rate import Rate
 
-# Bits that attributes, masks and planes have in the end, for each number of each anchor that there is before the rate,
-# at some weights of the rate. They are means over caliterra, snowmiku and playbot at 200 pixels and 4,000 steps, one
-# seed each, with 50 features. With 12 features caliterra and playbot have the same to 5 %.
+# The final bits of attributes, masks and planes, per number of each anchor that exists before the rate, at some weights
+# of the rate. They are means over caliterra, snowmiku and playbot at 200 pixels and 4,000 steps, one seed each, with 50
+# features. With 12 features caliterra and playbot have the same to 5 %.
 LIKELY_BITS = ((0.001, 1.9), (0.004, 1.05), (0.015, 0.43), (0.04, 0.16))
 # Bytes that no estimate counts: header, frame, index, heads of chunks, cameras. caliterra's file has 2,088 of them.
 UNCOUNTED = 2100
 # Bits of the largest weight of a layer before a grid is chosen: in the middle of the grids that are tried.
 RENDERING_BITS = 8
-# Bytes of all packed weights, for each weight of the rendering networks, in the same trainings.
+# Bytes of all packed weights, per weight of the rendering networks, in the same training runs.
 LIKELY_WEIGHT = 1.15
 
 
@@ -34,9 +34,9 @@ def uncompressed_bytes(scaffold: Scaffold) -> dict[str, float]:
 
 
 def likely_bytes(scaffold: Scaffold, weight: float) -> dict[str, float]:
-    """About the bytes of each part of the file of a training that has no entropy model yet.
+    """Estimates the bytes of each part of the file before there is an entropy model.
 
-    weight: of the rate. Positions are packed. The rest is what other files had: LIKELY_BITS, LIKELY_WEIGHT.
+    weight: of the rate. Positions are packed. The rest follows from other files: LIKELY_BITS, LIKELY_WEIGHT.
     """
     weights, bits_at = np.log(np.array(LIKELY_BITS)).T
     bits = float(np.exp(np.interp(math.log(weight), weights, bits_at)))

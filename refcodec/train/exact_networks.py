@@ -1,4 +1,4 @@
-"""Clause 7.2 by torch: integer networks where activations are on a GPU already.
+"""Clause 7.2 by torch: integer networks for activations that are on a GPU.
 
 Their outputs are those of refcodec.bitstream.networks, bit by bit, on any device: no partial sum reaches 2^24, so each
 order of summation gives the same integers.
@@ -22,7 +22,7 @@ class DeviceNetwork(IntNetwork):
     """SPEC 7.2, NETWORK, on a device of torch."""
 
     def __init__(self, network: IntNetwork, device: str) -> None:
-        """device: such as `cuda`. Its products are tested when it is used first. float64 has room if they fail."""
+        """device: such as `cuda`. Its products are tested at the first use. float64 is used if they are not exact."""
         super().__init__(network.layers)
         self.device = device
         kind = torch.float32 if products_are_exact(device) else torch.float64

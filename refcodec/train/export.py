@@ -1,4 +1,4 @@
-"""From a training to what can be written: a scene for the encoder, or floats (SPEC.md Annex B)."""
+"""Exports a trained scene: integers for the encoder, or floats (SPEC.md Annex B)."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def coded_scene(scaffold: Scaffold, rate: Rate, render: RenderInfo, cameras: Seq
     """The scene of integers: steps follow from the networks, symbols from the steps.
 
     Anchors without a kept offset are left out. The rest is sorted along a Morton curve (B.1). Raises ValueError for
-    what cannot be written.
+    values that cannot be written.
     """
     model, kept = rate.started(), rate.masks.decided().cpu().numpy()
     planes = model.symbols(None).detach().cpu().numpy()

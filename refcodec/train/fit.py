@@ -49,7 +49,7 @@ from .voxelise import display_networks
 
 @dataclass(frozen=True, eq=False)
 class FitResult:
-    """scene: ready for codec.emit. report: what was chosen and reached (seconds, steps, base_step, history, ...)."""
+    """scene: ready for codec.emit. report: the choices and results (seconds, steps, base_step, history, ...)."""
 
     scene: Scene
     report: dict[str, Any]
@@ -64,8 +64,8 @@ def fit(
 ) -> FitResult:
     """Fits the coding networks and planes of Main to anchors, and quantises them.
 
-    settings: None for the defaults. state: a file where training saves itself, and from which it goes on if it exists.
-    An interrupt (Ctrl-C) ends training early and leaves a whole scene. Equal arguments and threads give equal results.
+    settings: None for the defaults. state: the file of the saved state, from which training continues if it exists.
+    An interrupt (Ctrl-C) ends training early with a complete scene. Equal arguments and threads give equal results.
     Raises ValueError for anchors that cannot be written, or a state of other settings.
     """
     started, settings = time.perf_counter(), settings or FitSettings()
@@ -94,7 +94,7 @@ def base_steps(cloud: AnchorCloud, steps: QuantisationSettings, rate: float = BA
     """Base steps of features, scalings and offsets, each a float32 value.
 
     rate: lambda_r. Of D + lambda_r R, the squared error D of a small step grows with its square, and the rate R falls
-    with its logarithm. So the best step grows with the root of lambda_r.
+    with its logarithm. Thus the best step grows with the root of lambda_r.
     """
     spread = float(np.median(varying(cloud.features.std(axis=0)))) if len(cloud.features) else 0.0
     coarser = math.sqrt(rate / BASE_RATE)
@@ -326,7 +326,7 @@ class _Fitting:
         self.history = [(int(n["step"]), float(n["bits"]), float(n["planes"])) for n in notes]
         self.done = state.integer("done", 0, self.settings.steps)
         if self.done:
-            # The learning rates follow from the number of steps alone: this is their state after `done` of them.
+            # The learning rates follow only from the number of steps: this is their state after `done` of them.
             self.schedule.last_epoch = self.done - 1
             self.schedule._step_count = self.done
             self.schedule.step()

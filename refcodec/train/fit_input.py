@@ -1,4 +1,4 @@
-"""What `refcodec fit` is given: points, which become anchors here, or a scene with its rendering networks."""
+"""The input of `refcodec fit`: points, which become anchors here, or a scene with its rendering networks."""
 
 from __future__ import annotations
 
@@ -43,8 +43,8 @@ class Given:
 def read_given(path: str | Path, voxel: float | None = None) -> Given:
     """Points (as voxelise.read_points), a scene folder of refcodec, or the point_cloud.ply in one.
 
-    voxel: edge of the lattice, None for the points' median distance, or for what a scene says. Raises ValueError for
-    anything else; SceneFolderError is one.
+    voxel: edge of the lattice, None for the median distance of the points, or for the edge that a scene states. Raises
+    ValueError for anything else; SceneFolderError is one.
     """
     path = Path(path)
     voxel = voxel and short_mantissa(voxel)
@@ -90,7 +90,7 @@ def _read_scene(folder: Path, voxel: float | None) -> Given:
             plain.cameras,
         )
     if not there(folder / SCENE_FILE, _ADVICE):
-        raise ValueError(f"{folder} has neither {SCENE_FILE} nor {RENDER_FILE}: it is no scene folder")
+        raise ValueError(f"{folder} has neither {SCENE_FILE} nor {RENDER_FILE}: it is not a scene folder")
     scene = read_folder(folder)
     networks = {name: scene.networks[name] for name in RENDERING}
     grid = None if voxel else scene.grid

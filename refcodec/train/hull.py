@@ -1,4 +1,4 @@
-"""The visual hull: where something can be, by what transparent photographs show to be empty."""
+"""The visual hull: the space that transparent photographs do not show to be empty."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ def carved(photographs: PhotographSet, wanted: int, seed: int) -> tuple[F64, U8]
     """Points where no photograph sees through: positions float64 [M, 3] and colours uint8 [M, 3].
 
     They are drawn evenly in the box of the photographs' points until `wanted` are found or BATCHES are drawn. The
-    colour of one is the mean of what the photographs show at its place. The photographs' points are returned in two
-    cases: no photograph is transparent, or everything that was drawn is seen through. Raises PhotographError.
+    colour of a point is the mean of the colours that the photographs show at its place. The photographs' points are
+    returned in two cases: no photograph is transparent, or all drawn points are seen through. Raises PhotographError.
     """
     empty = [photograph.empty() for photograph in photographs.train]
     if not any(pixels.any() for pixels in empty):

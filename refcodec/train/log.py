@@ -1,4 +1,4 @@
-"""The log of a training: a row for each look at held-out photographs, as a table or for TensorBoard."""
+"""The log of training: a row for each evaluation on held-out photographs, as a table or for TensorBoard."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from ..statuses import UsageError
 from .looks import COLUMNS, PHASE
 
 TABLE = Kind("the log of a training", re.compile(rb"step,seconds,psnr,"))
-# What the names of TensorBoard's files begin with.
+# The prefix of the names of TensorBoard's files.
 _EVENTS = "events.out.tfevents."
 
 Row = Mapping[str, Any]
 
 
 class Log(Protocol):
-    """Where the rows of a training go."""
+    """The destination of the rows of a training run."""
 
     def write(self, rows: Sequence[Row]) -> None:
-        """Takes all rows so far. Raises OSError."""
+        """Takes all present rows. Raises OSError."""
 
 
 class Table:
@@ -60,7 +60,7 @@ class Board:
     def write(self, rows: Sequence[Row]) -> None:
         """As Log."""
         if self._writer is None:
-            # What comes after an interrupt replaces what came before it.
+            # Rows after an interrupt replace earlier rows of the same steps.
             self._writer = self._open(str(self._folder), purge_step=rows[0]["step"] if rows else None)
         for row in rows[self._written :]:
             for name in COLUMNS[1:]:
@@ -71,7 +71,7 @@ class Board:
 
 
 def check_log(path: Path) -> Path:
-    """Returns the file, or a file of the folder, that a log is written to. Raises UsageError for what is not its own.
+    """Returns the file, or a file of the folder, that a log is written to. Raises UsageError for others' files.
 
     A name that ends with .csv is a table's. Any other is a folder for TensorBoard.
     """
@@ -100,7 +100,7 @@ class Logging:
     """Writes a log when there is a new row. One that cannot be written does not end the training."""
 
     def __init__(self, log: Log, rows: Sequence[Row]) -> None:
-        """rows: of the training so far, if it goes on."""
+        """rows: those before the interrupt, if training continues."""
         self.log, self._count, self._said = log, -1 if rows else 0, False
 
     def __call__(self, rows: Sequence[Row]) -> None:

@@ -1,4 +1,4 @@
-"""What a training notes of itself: how good held-out images are, how large the file would be, how fast it goes."""
+"""The records of training: the quality of held-out images, the estimated size of the file, and the speed."""
 
 from __future__ import annotations
 
@@ -17,25 +17,25 @@ from .stage import Stage
 from .state import Saved
 from .views import Views
 
-# About how many photographs a look takes: enough for a curve, and a small share of the time of training.
+# About the number of photographs of an evaluation: enough for a curve, in a small share of the training time.
 IMAGES = 5
 # Steps whose mean PSNR is reported.
 LATELY = 50
-# What is noted of the file's parts, in bytes; and of a look, in numbers, with the name of the phase beside them.
+# The recorded parts of the file, in bytes, and the recorded numbers of an evaluation, beside the name of the phase.
 PARTS = ("positions", "attributes", "masks", "planes", "weights")
 COLUMNS, PHASE = ("step", "seconds", "psnr", "anchors", "bytes", *PARTS), "phase"
 
 
 def psnr(error: float) -> float:
-    """Of a mean squared error, dB."""
+    """The PSNR of a mean squared error, in dB."""
     return -10 * math.log10(error + 1e-12)
 
 
 class Looks(Stage):
-    """A training's notes.
+    """The records of a training run.
 
-    history: COLUMNS of each look at held-out images, and the phase of its last step. recent: PSNR of the latest steps,
-    dB. seconds: of the training so far. pace: of its steps.
+    history: COLUMNS of each evaluation on held-out images, and the phase of its last step. recent: PSNR of the latest
+    steps, dB. seconds: the training time. pace: of its steps.
     """
 
     name = "looks"
@@ -50,13 +50,13 @@ class Looks(Stage):
         self.seconds, self.pace = 0.0, pace
 
     def step_done(self, image: Tensor, photograph: Tensor, seconds: float) -> None:
-        """Notes a step: its image, and the time that it took."""
+        """Records a step: its image, and its time."""
         self.recent = [*self.recent[1 - LATELY :], psnr(float((image.detach() - photograph).square().mean()))]
         self.seconds += seconds
         self.pace.note(seconds)
 
     def look(self) -> None:
-        """Adds to the history, if it is time or the training is at its end."""
+        """Adds to the history, if it is due or the training run is at its end."""
         done, steps = self.clock.done, self.clock.steps
         if done % max(steps // self.settings.count, 1) and done < steps:
             return
@@ -80,7 +80,7 @@ class Looks(Stage):
         )
 
     def state(self) -> dict[str, Any]:
-        """The notes."""
+        """The records."""
         pace = {f"pace/{name}": value for name, value in self.pace.state().items()}
         return {"history": self.history, "recent": self.recent, "seconds": self.seconds, **pace}
 

@@ -1,4 +1,4 @@
-"""The messages of a training: before its first step, after steps, and at its end."""
+"""The messages of a training run: before its first step, after steps, and at its end."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def opening(trainer: Trainer) -> str:
         words.append(f"{photographs.skipped} without pose are left out")
     points = "points drawn at random" if photographs.random else "points"
     words += [f"{len(photographs.points)} {points}", f"background {red},{green},{blue}"]
-    given = " of the scene to go on from" if trainer.given else ""
+    given = " of the scene to continue" if trainer.given else ""
     words += [f"{trainer.scaffold.count} anchors{given}", f"{settings.steps} steps"]
     words.append(f"rate {settings.rate.weight:g}" if settings.rate.weight else "no rate: an uncompressed scene")
     if trainer.clock.done:
@@ -42,7 +42,7 @@ def opening(trainer: Trainer) -> str:
 
 
 def line(trainer: Trainer) -> str:
-    """The progress of a training. A value that is not measured yet has "about" before it, or is left out."""
+    """The progress of a training run. A value that is not measured yet has "about" before it, or is left out."""
     clock, looks, last = trainer.clock, trainer.looks, trainer.looks.history[-1:]
     size = last[0]["bytes"] if last else sum(v for k, v in trainer.estimate().items() if k not in KINDS)
     words = [f"step {clock.done} of {clock.steps}", f"{np.mean(looks.recent):.2f} dB"]
@@ -92,7 +92,7 @@ class _Compiling(event.Listener):
 
     def on_start(self, event: event.Event) -> None:
         if not self.reported:
-            note("train: compiling, which takes up to a minute or two; what is compiled is kept if there is a place")
+            note("train: compiling, which takes up to a minute or two; the compiled code is kept if possible")
             self.reported = True
 
     def on_end(self, event: event.Event) -> None:
@@ -120,7 +120,7 @@ def _progress(trainer: Trainer, progress: bool) -> Iterator[Watch]:
     if sys.stderr.isatty():
         from tqdm import tqdm  # noqa: PLC0415 (only here)
 
-        # tqdm's own time left knows nothing of the rate.
+        # tqdm's own estimate does not include the rate.
         form = "{desc}: {percentage:3.0f}%|{bar}| {n_fmt}/{total_fmt} [{elapsed}{postfix}]"
         with tqdm(total=clock.steps, initial=clock.done, desc="train", file=ProgressStream(), bar_format=form) as bar:
 

@@ -1,4 +1,4 @@
-"""Learning rates over a training, and the moments of torch's Adam in a saved state."""
+"""Learning rates over a training run, and the moments of torch's Adam in a saved state."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from .state import Saved
 
 
 def learning_rate(decay: Decay, share: float) -> float:
-    """A learning rate after a share of its way: from one end to the other with constant ratios, once it is not held."""
+    """A learning rate after a share of its way: after it is held, it falls from start to end with constant ratios."""
     passed = max(share - decay.held, 0.0) / (1 - decay.held)
     return math.exp((1 - passed) * math.log(decay.start) + passed * math.log(decay.end))
 
@@ -24,7 +24,7 @@ def moments(optimiser: torch.optim.Optimizer) -> dict[str, Tensor]:
 
 
 def restore_moments(optimiser: torch.optim.Optimizer, state: Saved) -> None:
-    """Sets what `moments` gave. Raises ValueError.
+    """Restores the values of `moments`. Raises ValueError.
 
     A parameter that never had a gradient has no moments.
     """

@@ -1,4 +1,4 @@
-"""How long a training still takes: the time of a step, before the rate and with it."""
+"""The remaining time of training, from the time of a step before the rate and with it."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from typing import Any
 from .schedule import Clock
 from .state import Saved
 
-# Steps over which the time of a step is a mean, and how many make it one to rely on.
+# The number of steps in the mean time of a step, and the least number for a reliable mean.
 LATELY, ENOUGH = 50, 10
-# How many times as long a step takes with the rate (1.5 to 4 were measured), as long as this training has none.
+# The assumed ratio of the step times with the rate and before it (1.5 to 4 were measured), until both are measured.
 RATIO = 2.5
 OFF, ON = 0, 1
 
 
 class Pace:
-    """The times of a training's steps. coded: whether it has a rate at all.
+    """The times of the training steps. coded: whether there is a rate at all.
 
-    means: seconds of a step before the rate and with it. counts: steps that they are of, at most LATELY.
+    means: seconds of a step before the rate and with it. counts: the steps in these means, at most LATELY.
     """
 
     def __init__(self, clock: Clock, coded: bool) -> None:
@@ -31,7 +31,7 @@ class Pace:
         return ON if self.coded and self.clock.mode("rate", done) != "off" else OFF
 
     def note(self, seconds: float) -> None:
-        """Notes the time of the step that was done last."""
+        """Records the time of the last step."""
         stage = self._stage(self.clock.done - 1)
         if stage != self._last:
             # The first step of a process compiles, and the first one with the rate begins it.
@@ -68,11 +68,11 @@ class Pace:
         return counts[OFF], counts[ON]
 
     def state(self) -> dict[str, Any]:
-        """What a saved training needs of it."""
+        """The values for a saved state."""
         return {"counts": self.counts, "means": self.means}
 
     def restore(self, state: Saved) -> None:
-        """Sets what `state` gave. Raises ValueError."""
+        """Restores the values of `state`. Raises ValueError."""
         for name in ("counts", "means"):
             numbers = state.numbers(name)
             if len(numbers) != len(self.counts) or not all(0 <= value < math.inf for value in numbers):

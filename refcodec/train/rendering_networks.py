@@ -1,4 +1,4 @@
-"""The three networks that make Gaussians of anchors (SPEC.md 14.3), in training."""
+"""The three networks that turn anchors into Gaussians (SPEC.md 14.3), in training."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class RenderNetworks(nn.Module):
 
     @torch.no_grad()
     def set_grid(self, bits: int) -> None:
-        """From now on weights and biases of each layer are multiples of a power of two (weights.rendering_exponent)."""
+        """Makes weights and biases of each layer multiples of a power of two (weights.rendering_exponent)."""
         for name, value in self.named_parameters():
             layer, _, kind = name.rpartition("_")
             if kind == "weight":
@@ -80,7 +80,7 @@ class RenderNetworks(nn.Module):
 
     @torch.no_grad()
     def take(self, networks: Mapping[str, list[Layer]], unit: float) -> None:
-        """Takes the weights of a scene. unit: what the distance is multiplied with beforehand."""
+        """Takes the weights of a scene. unit: the factor of the distance before the network."""
         p = dict(self.named_parameters())
         for name in RENDERING:
             for i, (weight, bias) in enumerate(networks[name]):

@@ -1,4 +1,4 @@
-"""Scaffold-GS (Lu et al. 2024): anchors on a lattice, and three networks that make Gaussians of them for a camera."""
+"""Scaffold-GS (Lu et al. 2024): anchors on a lattice, and three networks that turn them into Gaussians for a camera."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Scaffold:
     exp(scalings[:3])), scalings (natural logarithms of world lengths) and masks (logits). first, second: their moments
     (adam.adam_torch). lattice: int64 [N, 3], cells from the grid's origin. position: float32 [N, 3], training units.
 
-    The lattice is an array. All else are tensors on the device of the training.
+    The lattice is an array. All other values are tensors on the device of the training run.
     """
 
     def __init__(
@@ -163,11 +163,11 @@ class Scaffold:
         return {**tensors, **networks, "lattice": torch.from_numpy(self.lattice)}
 
     def restore(self, state: Saved) -> None:
-        """Sets what `state` gave. Raises ValueError."""
+        """Restores the values of `state`. Raises ValueError."""
         self.lattice = state.tensor("lattice", (None, 3), torch.int64, -LATTICE_MAX, LATTICE_MAX).numpy()
         for kind, tables in (("tables", self.tables), ("first", self.first), ("second", self.second)):
             for name in TABLES:
-                # The second moments are means of squares.
+                # The second moments are means of squares, thus at least 0.
                 low, shape = 0 if kind == "second" else -math.inf, (self.count, self._width(name))
                 tables[name] = state.tensor(f"{kind}.{name}", shape, low=low).to(self.device)
         state.module("networks.", self.networks)

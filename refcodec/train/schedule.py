@@ -1,4 +1,4 @@
-"""The time of a training: its steps, and what its phases say of each part."""
+"""The schedule of training: its steps, and the mode of each part in its phases."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from .state import Saved
 
 
 class Clock:
-    """How far a training is. done: the steps that are done, of `steps`.
+    """The progress of training. done: the number of finished steps, of `steps`.
 
-    A training that is extended keeps its place in the schedule: what is left of the schedule is stretched over the
-    steps that are left. Thus completed phases are not repeated, and learning rates continue from their values. A
-    completed training continues in its last phase, at its last learning rates. first, base: the step at which the
-    training was extended last, and the share of the schedule that was done there.
+    An extended training run keeps its place in the schedule: the rest of the schedule is stretched over the remaining
+    steps. Thus completed phases are not repeated, and learning rates continue from their values. A completed run
+    continues in its last phase, at its last learning rates. first, base: the step at which the run was extended last,
+    and the share of the schedule that was done there.
     """
 
     def __init__(self, phases: Sequence[Phase], steps: int) -> None:
@@ -65,11 +65,11 @@ class Clock:
         return next((phase.name for phase in reversed(self.phases) if phase.begin <= self.share_at(done)), "")
 
     def state(self) -> dict[str, Any]:
-        """What a saved training needs of it."""
+        """The values for a saved state."""
         return {"done": self.done, "steps": self.steps, "first": self.first, "base": self.base}
 
     def restore(self, state: Saved) -> None:
-        """Sets what `state` gave, and extends a training of fewer steps. Raises ValueError."""
+        """Restores the values of `state`, and extends a training run of fewer steps. Raises ValueError."""
         steps = state.integer("steps", 1)
         if steps > self.steps:
             raise state.fault("steps", f"is {steps}: a training can be extended, but not cut to {self.steps} steps")

@@ -1,7 +1,7 @@
 """Every constant of the training method, as settings with a meaning, a unit, a default and a source.
 
-`TrainSettings` is one training. It is made of groups, one for each part of the method, and of phases, which say when
-the parts work. Presets are objects of the same type. settings_file.py prints settings, reads them and changes them.
+`TrainSettings` is one training run. It has groups, one for each part of the method, and phases, which state when the
+parts work. Presets are objects of the same type. settings_file.py prints settings, reads them and changes them.
 
 Nothing here needs NumPy or torch.
 """
@@ -18,7 +18,7 @@ from typing import TypeVar
 
 T = TypeVar("T")
 
-# Where a default comes from: tried for this trainer, 3D Gaussian Splatting (Kerbl et al. 2023), Scaffold-GS (Lu et al.
+# The origins of defaults: tried for this trainer, 3D Gaussian Splatting (Kerbl et al. 2023), Scaffold-GS (Lu et al.
 # 2024), the published code of CAT-3DGS, the paper of CAT-3DGS Pro.
 OWN, GS, SCAFFOLD, CAT, PRO = "own", "3DGS", "Scaffold-GS", "CAT-3DGS's code", "CAT-3DGS Pro"
 
@@ -35,8 +35,8 @@ def setting(
 ) -> T:
     """A field with its documentation.
 
-    source: where the default comes from, or what others have. low, high: the least and the largest value that is
-    allowed, of each element of a tuple. choices: the allowed texts.
+    source: the origin of the default, or the values of others. low, high: the least and the largest allowed value, of
+    each element of a tuple. choices: the allowed texts.
     """
     notes = {"meaning": meaning, "source": source, "unit": unit, "low": low, "high": high, "choices": choices}
     return field(default=default, metadata=notes)
@@ -45,7 +45,7 @@ def setting(
 # SPEC 11.1: the most features and slices of features in Main. The first features begin as a colour.
 FEATURES_MAX, COLOURS = 128, 3
 SLICES_MAX = 16
-# lambda_r of a training, and of a fit that keeps its base steps.
+# lambda_r of training, and of a fit that keeps its base steps.
 BASE_RATE = 0.004
 
 
@@ -106,7 +106,7 @@ class StartSettings:
     )
     voxel: float = setting(
         0.0,
-        "edge of the voxels of the first anchors; 0: what the number of anchors asks for",
+        "edge of the voxels of the first anchors; 0: chosen for the number of anchors",
         unit="world units",
         low=0,
     )
@@ -141,7 +141,7 @@ class LossSettings:
 
 @dataclass(frozen=True)
 class GrowthSettings:
-    """How anchors grow where the image asks for more, and which are dropped."""
+    """The growth of anchors where the image needs more, and their removal."""
 
     period: int = setting(100, "from one growth to the next", SCAFFOLD, unit="steps", low=1)
     most: int = setting(40000, "largest number of anchors at any time", unit="anchors", low=1)
@@ -339,18 +339,18 @@ MODES: dict[str, tuple[str, ...]] = {
     "quantisation": ("noise", "round"),
     # grid: the weights of all networks are rounded to grids.
     "weights": ("float", "grid"),
-    # on: the training ends with the mean of its steps from here on, and no anchor goes.
+    # on: training ends with the mean of its steps from here on, and no anchor is removed.
     "averaging": ("off", "on"),
 }
 
 
 @dataclass(frozen=True)
 class Phase:
-    """A part of a training's time.
+    """A phase of training.
 
-    name: what messages and tables call it. begin: the share of all steps after which it begins. modes: the modes that
-    parts have from then on; the other parts keep theirs. What happens between two steps, as growth does, belongs to
-    the phases on both sides.
+    name: its name in messages and tables. begin: the share of all steps after which it begins. modes: the modes of
+    parts from then on; the other parts keep theirs. Growth and other work between two steps belongs to the phases on
+    both sides.
     """
 
     name: str
@@ -375,7 +375,7 @@ PHASES = (
 
 @dataclass(frozen=True)
 class TrainSettings:
-    """A training of a scene from photographs: what `refcodec train --print-settings` prints."""
+    """The settings of training a scene from photographs, which `refcodec train --print-settings` prints."""
 
     steps: int = setting(4000, "steps of training, a photograph each", f"{OWN}; {PRO}: 40,000", unit="steps", low=1)
     seed: int = setting(0, "of all random numbers", low=0, high=2**63 - 1)
@@ -399,7 +399,7 @@ class TrainSettings:
     masks: MaskSettings = MaskSettings()
     rate: RateSettings = RateSettings()
     sampling: SamplingSettings = SamplingSettings()
-    # Twelve features, where the paper has 50: SPEC.md's Annex C has what each makes in a training of minutes.
+    # Twelve features instead of the paper's 50: SPEC.md's Annex C has the results of both in training runs of minutes.
     entropy: EntropySettings = EntropySettings(slices=(2, 2, 4, 4))
     quantisation: QuantisationSettings = QuantisationSettings()
     weights: WeightSettings = WeightSettings()
@@ -408,7 +408,7 @@ class TrainSettings:
     phases: tuple[Phase, ...] = PHASES
 
     def __post_init__(self) -> None:
-        """Raises ValueError for phases that are no schedule, and for ranges that are empty."""
+        """Raises ValueError for phases that are not a schedule, and for empty ranges."""
         begins = [phase.begin for phase in self.phases]
         if begins != sorted(begins) or any(not 0 <= begin < 1 for begin in begins):
             raise ValueError(f"phases begin at {begins}: shares from 0 to less than 1 in ascending order are required")
@@ -438,7 +438,7 @@ class TrainSettings:
 
 @dataclass(frozen=True)
 class FitSettings:
-    """A fit of an entropy model to anchors that are given (SPEC B.5)."""
+    """The settings of a fit of an entropy model to given anchors (SPEC B.5)."""
 
     steps: int = setting(4000, "steps of training, a batch of anchors each", unit="steps", low=0)
     seed: int = setting(0, "of all random numbers", low=0, high=2**63 - 1)
@@ -466,10 +466,10 @@ class FitSettings:
     notes: int = setting(50, "entries of the history", low=1)
     save_seconds: float = setting(30.0, "from one saving of the state to the next", unit="seconds", low=0)
     entropy: EntropySettings = EntropySettings()
-    # Of points.
+    # For points.
     quantisation: QuantisationSettings = QuantisationSettings()
-    # Of a scene with its rendering networks, which shows coarse steps that it was not trained with (own measurement, in
-    # benchmarks/RESULTS.md, closed studies).
+    # For a scene with its rendering networks, which shows coarse steps that it was not trained with (own measurement,
+    # in benchmarks/RESULTS.md, closed studies).
     scene: QuantisationSettings = QuantisationSettings(offsets=0.025)
 
 

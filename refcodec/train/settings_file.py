@@ -1,6 +1,6 @@
 """Settings as text: printed with their documentation (TOML), read from a file, changed by name.
 
-Whatever is wrong with a name or a value is a SettingsError of one line.
+Any fault of a name or a value is a SettingsError of one line.
 """
 
 from __future__ import annotations
@@ -117,7 +117,7 @@ def _toml(value: Any) -> str:
 
 
 def from_toml(path: Path, base: T) -> T:
-    """The settings of a file; what it does not name is as in `base`. Raises SettingsError, OSError."""
+    """The settings of a file, with those of `base` for missing ones. Raises SettingsError and OSError."""
     try:
         with path.open("rb") as file:
             return merged(base, parse_toml(file.read(TOML_MAX + 1)))
@@ -230,7 +230,7 @@ def _phase(where: str, now: Phase | None, value: Any) -> Phase:
     keys = [entry.name for entry in fields(Phase)]
     given = dict(value) if isinstance(value, Mapping) else None
     if given is None or not set(given) <= set(keys) or (now is None and set(given) != set(keys)):
-        raise SettingsError(f"{where} is {value!r}: {', '.join(keys)} are what a phase has")
+        raise SettingsError(f"{where} is {value!r}: a table of {', '.join(keys)} is required")
     values = {**vars(now), **given} if now else given
     if now and isinstance(given.get("modes"), Mapping):
         values["modes"] = {**now.modes, **given["modes"]}

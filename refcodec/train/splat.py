@@ -73,12 +73,12 @@ def draw(
     Returns the image [H, W, 3] with the background, the transmittance [H, W] that reaches it, and radius [N] in pixels.
     Tensors on the CPU are drawn by Rasterise, which states shapes, units and what screen is. Tensors on a GPU are drawn
     by gsplat 1.5.3, which is imported then (ModuleNotFoundError without the extra `cuda`). The two draw the same image
-    but for what gsplat fixes:
+    except for these constants of gsplat:
 
-    - alpha_max is 0.999, whatever the settings say.
-    - Projection is float32. Depths that float32 does not tell apart count as equal. What is exactly at near_plane is
-      drawn, what is beyond a depth of 1e10 is not. Values that are not finite are not looked for.
-    - A pixel is finished by what would leave 1e-4 of it, not only by what would leave less.
+    - alpha_max is 0.999, regardless of the settings.
+    - Projection is float32. Depths that are equal in float32 count as equal. Gaussians exactly at near_plane are
+      drawn, those beyond a depth of 1e10 are not. Non-finite values are not detected.
+    - A Gaussian ends a pixel if it would leave a transmittance of 1e-4 or less, not only if less.
     - radius is the larger half side, rounded up, of the box around the ellipse. Rasterise gives its larger half axis.
     - Gradients of many pixels are added in any order, so that the last bits differ from run to run.
 

@@ -1,4 +1,4 @@
-"""The interface of a stage of the method: the calls that a training makes to each of them."""
+"""The interface of a stage of the method: the calls that a training run makes to each of them."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ class Step(Sight):
     """A step of training.
 
     leaves: the anchors' values as tensors with gradients, of which `values` are made. taken: all sets of rows whose
-    leaves have a gradient in this step, those of the image first. The rest is there once the image is drawn. chosen:
-    the offsets that were drawn, int64 [m], ascending, row * K + offset. opacity: of all offsets [n, K]. screen: [m],
-    whose gradient is that of the projected centres.
+    leaves have a gradient in this step, those of the image first. The other fields are set once the image is drawn.
+    chosen: the offsets that were drawn, int64 [m], ascending, row * K + offset. opacity: of all offsets [n, K]. screen:
+    [m], whose gradient is that of the projected centres.
     """
 
     leaves: dict[str, Tensor] = field(default_factory=dict)
@@ -46,7 +46,7 @@ class Step(Sight):
 
 
 class Stage:
-    """A stage of the method. A training calls its stages in their order at each of these points.
+    """A stage of the method. A training run calls its stages in their order at each of these points.
 
     A stage defines only the calls that it needs. name: its name in the phases of the settings and in saved states.
     """
@@ -56,7 +56,7 @@ class Stage:
     # --- of a step, in this order -------------------------------------------------------------------------------------
 
     def begin(self) -> None:
-        """Before a step: creates what the phase requires and does not exist yet."""
+        """Before a step: creates the objects that the phase requires, unless they exist."""
 
     def prepare(self, step: Step) -> None:
         """Before the image is drawn: changes the values to draw."""
@@ -79,14 +79,14 @@ class Stage:
         """After anchors were added or removed."""
 
     def finish(self) -> None:
-        """Before the result: creates what a file needs and does not exist yet."""
+        """Before the result: creates the objects that a file needs, unless they exist."""
 
     def state(self) -> dict[str, Any]:
         """The values that a saved training needs: tensors, and values of JSON."""
         return {}
 
     def restore(self, state: Saved) -> None:
-        """Sets what `state` gave. The anchors are restored before, the random numbers after all stages.
+        """Restores the values of `state`. The anchors are restored before, the random numbers after all stages.
 
-        Raises ValueError for what cannot be a state of this stage.
+        Raises ValueError for values that cannot be a state of this stage.
         """

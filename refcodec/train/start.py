@@ -1,7 +1,7 @@
-"""Where a training begins: its units, its lattice, and the first anchors on it.
+"""The start of training: its units, its lattice, and the first anchors on it.
 
-Training works in units of its own, in which the scene has a size of about one. So nothing depends on the unit of the
-cameras. `Units` says what they are in the world. The file says it by its distance_unit and its scalings.
+Training has its own units, in which the scene has a size of about one. Thus nothing depends on the unit of the cameras.
+`Units` relates them to the world. The file states them by its distance_unit and its scalings.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ LATTICE_MAX = 60000
 
 @dataclass(frozen=True, eq=False)
 class Units:
-    """What training units are.
+    """The training units.
 
     grid: the lattice's cells in the world (SPEC 6.4). origin: of the lattice, float64 [3], world. length: of a training
     unit, in the world. cell: edge of the lattice, in training units.
@@ -59,7 +59,7 @@ class FirstAnchors:
 
 
 def scene_length(photographs: PhotographSet) -> float:
-    """The median distance of the cameras from the median of the points: about one scene, whatever its unit.
+    """The median distance of the cameras from the median of the points: about one scene, regardless of its unit.
 
     It is a number of float32, as SPEC 5.5 has it.
     """
@@ -87,10 +87,10 @@ def choose_voxel(points: F64, anchors: int) -> float:
 
 
 def asked_for(photographs: PhotographSet, settings: TrainSettings) -> int:
-    """About how many anchors a training is to begin with; 0: as many as there are voxels.
+    """The requested number of first anchors, which is approximate; 0: one per voxel.
 
-    Photographs of more pixels show more of a scene, and random points can be as many as are wanted. Points that are
-    given are few: if most of them became anchors, the lattice would be too fine for the file.
+    Photographs of more pixels show more of a scene, and the number of random points is free. Given points are few: if
+    most of them became anchors, the lattice would be too fine for the file.
     """
     start = settings.start
     if start.anchors or not start.least or not photographs.random:
@@ -106,8 +106,8 @@ def lattice_positions(lattice: I64) -> NDArray[np.float16]:
 def first_anchors(photographs: PhotographSet, settings: TrainSettings) -> FirstAnchors:
     """Scaffold-GS: an anchor in each voxel that has points. Raises ValueError without points.
 
-    An anchor's colour is that of the points around it, its size the distance of its neighbours. Points that were drawn
-    at random are drawn anew where something can be (hull.carved).
+    An anchor's colour is that of the points around it, its size the distance of its neighbours. Random points are
+    drawn again within the visual hull (hull.carved).
     """
     if not len(photographs.points):
         raise ValueError("there are no points to begin with")

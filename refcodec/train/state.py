@@ -1,7 +1,7 @@
-"""The state of a training as one safetensors file, without pickles: tensors, and other values as JSON beside them.
+"""The state of a training run as one safetensors file, without pickles: tensors, and other values as JSON beside them.
 
-The file's metadata has its format, its version and a SHA-256 of everything else. What is read is checked against what
-the training expects: each name, shape, dtype and range. A state is loaded as it was saved, or refused.
+The file's metadata has its format, its version and a SHA-256 of everything else. The content is checked against the
+expectations of the training run: each name, shape, dtype and range. A state is loaded as it was saved, or refused.
 """
 
 from __future__ import annotations
@@ -33,20 +33,20 @@ _SHOWN = 60
 
 
 class StateError(ValueError):
-    """A saved state that cannot be used. The text is one line, with a way out."""
+    """A saved state that cannot be used. The text is one line, with a remedy."""
 
 
 class Savable(Protocol):
-    """What can be saved and can go on."""
+    """An object whose state can be saved, and that can continue from it."""
 
     def fingerprint(self) -> dict[str, Any]:
-        """What must be the same for it to go on, as values of JSON."""
+        """The values that must be equal to continue, as JSON values."""
 
     def state(self) -> dict[str, Any]:
-        """All that it needs: tensors, and values of JSON."""
+        """All values of its state: tensors, and JSON values."""
 
     def restore(self, state: Saved) -> None:
-        """Sets what `state` gave. Raises ValueError for what cannot be a state of it."""
+        """Restores the values of `state`. Raises ValueError for values that cannot be its state."""
 
 
 class Saved:
@@ -68,11 +68,11 @@ class Saved:
         return [name.removeprefix(self._prefix) for name in self._values if name.startswith(self._prefix)]
 
     def fault(self, name: str, problem: str) -> ValueError:
-        """Returns the error about a value. problem: what is wrong with it."""
+        """Returns the error about a value. problem: its predicate."""
         return ValueError(f"{printable(self._prefix + name, _SHOWN)} {problem}")
 
     def value(self, name: str) -> Any:
-        """Returns a value as it is: a tensor, or a value of JSON."""
+        """Returns an unchecked value: a tensor, or a JSON value."""
         whole = self._prefix + name
         if whole not in self._values:
             raise self.fault(name, "is missing")
@@ -164,7 +164,7 @@ class Saved:
             raise self.fault(name, "is not the state of a random number generator") from None
 
     def check_all_read(self) -> None:
-        """Raises ValueError if there is a value that nobody has asked for."""
+        """Raises ValueError if there is a value that was not read."""
         for name in sorted(self._values.keys() - self._read):
             raise self.fault(name, "is not known")
 
@@ -194,7 +194,7 @@ def _checksum(notes: Mapping[str, str], tensors: Mapping[str, Tensor]) -> str:
 def save(training: Savable, path: Path) -> None:
     """Writes the state. The file gets its name only when it is whole on the disk.
 
-    Raises OSError or SafetensorError if it cannot be written. The state that was there before is left as it was.
+    Raises OSError or SafetensorError if it cannot be written. The previous state remains unchanged.
     """
     state = training.state()
     tensors = {name: value.detach().clone().contiguous() for name, value in state.items() if isinstance(value, Tensor)}
@@ -214,14 +214,14 @@ def save(training: Savable, path: Path) -> None:
             os.fsync(file.fileno())
         beside.replace(path)
     except BaseException:
-        # Half a state takes room that the scene may need.
+        # An incomplete state takes space that the scene may need.
         with contextlib.suppress(OSError):
             beside.unlink()
         raise
 
 
 class Keeper:
-    """Saves a training now and then. A state that cannot be saved does not end the training."""
+    """Saves the state of training at intervals. A failure to save does not end training."""
 
     def __init__(self, training: Savable, path: Path) -> None:
         self.training, self.path = training, path
@@ -231,7 +231,7 @@ class Keeper:
         """Saves the state. The first failure is reported on stderr, in one line."""
         try:
             save(self.training, self.path)
-        # What safetensors cannot write is no OSError.
+        # A failure of safetensors to write is not an OSError.
         except (OSError, SafetensorError) as error:
             if not self._reported:
                 kept = _kept(self.path, "the one before is kept", "there is none yet")
@@ -242,7 +242,7 @@ class Keeper:
                 self._reported = True
 
     def discard(self) -> None:
-        """Removes the state, if it is there and can be removed."""
+        """Removes the state, if it exists and can be removed."""
         with contextlib.suppress(OSError):
             self.path.unlink(missing_ok=True)
 
@@ -263,7 +263,7 @@ def _reason(error: Exception) -> str:
 
 
 def is_saved(path: Path) -> bool:
-    """Whether there is a saved state. Raises StateError if its place has something else, or cannot be read."""
+    """Whether there is a saved state. Raises StateError if its path has something else, or cannot be read."""
     try:
         return is_there(path)
     except NotAFileError as error:
@@ -273,9 +273,9 @@ def is_saved(path: Path) -> bool:
 
 
 def restore(training: Savable, path: Path) -> None:
-    """Makes a new training the one that was saved.
+    """Sets a new training run to the saved state.
 
-    Raises StateError for a file that is damaged, of another version, of another training, or no state of it.
+    Raises StateError for a file that is damaged, of another version or another training run, or not a state.
     """
     before, saved = _read(path)
     for key, now in training.fingerprint().items():
@@ -304,7 +304,7 @@ def _read(path: Path) -> tuple[dict[str, Any], Saved]:
     try:
         with safe_open(path, "pt") as file:
             notes = file.metadata() or {}
-            # A tensor of safetensors is a view of the file, whose bytes may be others after they were checked.
+            # A tensor of safetensors is a view of the file, whose bytes may change after the check.
             tensors = {name: file.get_tensor(name).clone() for name in file.keys()}  # noqa: SIM118 (not a dictionary)
     except (SafetensorError, OSError, KeyError, TypeError, ValueError) as error:
         raise _refused(path, f"it cannot be read ({_reason(error)})") from None
@@ -326,10 +326,10 @@ def _read(path: Path) -> tuple[dict[str, Any], Saved]:
 
 
 def write_somewhere(write: Callable[[Path], None], output: Path, state: Path) -> None:
-    """Writes what a training has learnt, and in a second place if it cannot be written where it should be.
+    """Writes the result of training, to a second place if its own place fails.
 
-    write: gets the folder to write to. state: where the training is saved. Raises OSError with the reason and the place
-    where the result is, or where the state is.
+    write: receives the folder to write to. state: the path of the saved state. Raises OSError with the reason and the
+    place of the result or of the state.
     """
     try:
         write(output)

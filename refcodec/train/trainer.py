@@ -41,17 +41,17 @@ from .state import Saved
 from .views import Views
 
 Watch = Callable[["Trainer"], None]
-# What a saved state calls the device's random numbers.
+# The name of the device's random numbers in a saved state.
 NOISE = "noise"
 
 
 def generator_on(device: torch.device) -> torch.Generator:
-    """A source of random numbers for tensors on a device."""
+    """A random number generator for tensors on a device."""
     return torch.Generator(device)
 
 
 class Trainer:
-    """A training in progress.
+    """A training run in progress.
 
     stages: those of the method, in the order in which the loop calls them. rate: the stage that counts bits; None for
     an uncompressed Scaffold-GS, which has neither masks nor an entropy model.
@@ -70,7 +70,7 @@ class Trainer:
     ) -> None:
         """given: a scene to continue, None to begin with points.
 
-        Raises ValueError for photographs that cannot be learnt from, and for a device that is not there.
+        Raises ValueError for photographs that do not suffice for training, and for a missing device.
         """
         if device == "cuda" and not torch.cuda.is_available():
             raise ValueError("there is no CUDA device")
@@ -192,7 +192,7 @@ class Trainer:
     def result(self) -> Scene | Uncompressed:
         """The trained scene, as a file or folder stores it: integers, or floats without a rate.
 
-        Stages that a file needs and that have not begun yet begin now. Raises ValueError for what cannot be written.
+        Stages that a file needs begin now if they have not begun. Raises ValueError for values that cannot be written.
         """
         cameras = spread_cameras([p.camera for p in self.photographs.train], STATED)
         render = render_info(self.scaffold, self.photographs)
@@ -205,7 +205,7 @@ class Trainer:
     # --- the saved state ----------------------------------------------------------------------------------------------
 
     def fingerprint(self) -> dict[str, Any]:
-        """What must be equal to continue a training: settings except steps, and photographs with their sizes."""
+        """The values that must be equal to continue: settings except steps, and photographs with their sizes."""
         photographs = [[p.camera.name, p.camera.width, p.camera.height] for p in self.photographs.train]
         settings = {name: value for name, value in document(self.settings).items() if name != "steps"}
         facts = {"settings": settings, "photographs": photographs}
@@ -226,7 +226,7 @@ class Trainer:
         return {name: value.cpu() if isinstance(value, Tensor) else value for name, value in values.items()}
 
     def restore(self, state: Saved) -> None:
-        """Sets a new training to a saved state. Raises ValueError for what cannot be a state of it."""
+        """Sets a new training to a saved state. Raises ValueError for values that cannot be its state."""
         self.clock.restore(state.within("clock"))
         order, views = state.value("order"), len(self.views.cameras)
         right = isinstance(order, list) and all(type(n) is int and 0 <= n < views for n in order)
@@ -244,7 +244,7 @@ class Trainer:
     def _restore_noise(self, state: Saved) -> None:
         """Sets the device's random numbers, if the state is of a device of this kind.
 
-        A state is good on any device. On one of another kind the noise begins anew.
+        A state is valid on any device. On a device of another kind the noise restarts.
         """
         drawn = state.tensor(NOISE, (None,), torch.uint8)
         if self.noise is not self.random and drawn.shape == self.noise.get_state().shape:

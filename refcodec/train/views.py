@@ -1,4 +1,4 @@
-"""The photographs of a training, and images of what it has learnt, on its device."""
+"""The photographs of training, and images of the learned scene, on its device."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def pixels(photograph: Photograph, device: torch.device | str = "cpu") -> Tensor
 
 
 class Views:
-    """Draws for a training. cameras: of the photographs to learn from, in training units."""
+    """Draws images in training. cameras: those of the photographs to learn from, in training units."""
 
     def __init__(self, photographs: PhotographSet, scaffold: Scaffold, stages: Iterable[Stage]) -> None:
         """stages: those that change the values to draw; the training adds to them later."""
@@ -54,7 +54,7 @@ class Views:
 
     @torch.no_grad()
     def draw(self, camera: Camera) -> Tensor:
-        """What a camera of the world sees of the training as it is: float32 [H, W, 3]. It is rounded if training is."""
+        """The image of the scene in training by a camera of the world: float32 [H, W, 3], rounded if training is."""
         camera = self.scaffold.units.camera(camera)
         rows = self.scaffold.visible(camera)
         sight = Sight(camera, rows, {name: table[rows] for name, table in self.scaffold.tables.items()})
@@ -65,7 +65,7 @@ class Views:
 
     @torch.no_grad()
     def show(self, scene: Scene, camera: Camera) -> Tensor:
-        """What a camera of the world sees of the result, drawn as training draws: float32 [H, W, 3].
+        """The image of the result by a camera of the world, drawn as in training: float32 [H, W, 3].
 
         The networks, units and rasteriser are the training's own, and no anchor is left out.
         """

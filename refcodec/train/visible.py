@@ -12,8 +12,8 @@ from ..render.camera import Camera
 from .cpu.dispatch import has_kernel
 from .cpu.visible import visible_rows
 
-# Bounds of what a camera may see. EXTENT: deviations at which an alpha of one has fallen to 1/255. REACH: a factor, for
-# values that rounding moves. EDGE: pixels around an image, for the low-pass filter.
+# Bounds of the anchors that a camera may see. EXTENT: deviations at which an alpha of one has fallen to 1/255. REACH: a
+# factor, for values that rounding moves. EDGE: pixels around an image, for the low-pass filter.
 EXTENT, REACH, EDGE = 3.33, 1.05, 4.0
 
 

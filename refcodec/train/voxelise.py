@@ -73,7 +73,7 @@ def _read_archive(path: Path) -> tuple[NDArray[Any], NDArray[np.uint8]]:
             return archive["means3d"].astype(np.float32), _eight_bits(archive["colors"])
     except (OSError, MemoryError):
         raise
-    # NumPy, zipfile and zlib answer bad bytes with many types. Whatever the type is, the file cannot be read.
+    # NumPy, zipfile and zlib raise many types for bad bytes. All of them mean that the file cannot be read.
     except Exception as error:
         raise ValueError(f"{path} cannot be read ({error})") from None
 
@@ -124,7 +124,7 @@ def voxelise(points: F32, colours: NDArray[np.uint8], voxel: float | None = None
         for i in range(0, len(anchors), BLOCK)
     ]
     features, scalings, offsets, masks = (np.concatenate(column) for column in zip(*parts, strict=True))
-    # Colours stay as they are, for display; what follows is brought to a spread of one, channel by channel.
+    # Colours do not change, for display. The following channels are each scaled to a deviation of one.
     features[:, 3:] /= np.maximum(features[:, 3:].std(axis=0), 1e-3)
     return AnchorCloud(
         anchors.astype(np.float32),
@@ -165,7 +165,7 @@ def _describe(
     variance, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", around, around) / NEAR)
     deviation = np.sqrt(np.maximum(variance, 0)) + floor
     normal = axes[:, :, 0]
-    # An eigenvector has no sign of its own: the largest component is made positive.
+    # The sign of an eigenvector is free: the largest component is made positive.
     largest = np.take_along_axis(normal, np.abs(normal).argmax(axis=1)[:, None], axis=1)
     normal = normal * np.where(largest < 0, -1, 1)
     near = colour[:, :NEAR]

@@ -1,4 +1,4 @@
-"""The front door: its names, what it loads, and what it does with files, scenes and notebooks."""
+"""The public interface: its names, its imports, and its use with files, scenes and notebooks."""
 
 from __future__ import annotations
 

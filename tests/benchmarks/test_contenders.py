@@ -1,4 +1,4 @@
-"""`python -m benchmarks decode`: who takes part, in which order, with which results."""
+"""`python -m benchmarks decode`: the contenders, their order and their results."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Files of splats beside C3GS: all are compared with drawings of the file itself."""
+"""Splat files compared with C3GS: all are compared with renderings of the file itself."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The table of exports: its figures are kept, its files are what they are said to be, and pictures come by a server."""
+"""The table of exports: figures are kept, files match their records, and a server receives pictures."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Hostile files (SPEC.md 10 and 13): whatever its checksums say, each is a scene or one error, in bounded memory."""
+"""Hostile files (SPEC.md 10 and 13): each is a scene or one error, in bounded memory, also with valid checksums."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Hostile values, field by field (SPEC.md 10 and 13): each element of a file is set, and the checksums made right."""
+"""Hostile values by field (SPEC.md 10 and 13): each element of a file is set, and the checksums are corrected."""
 
 from __future__ import annotations
 

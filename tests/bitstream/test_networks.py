@@ -1,4 +1,4 @@
-"""Integer networks (SPEC.md 7.2): rows and outputs are those of the text, in float32 and in int64, up to the bound."""
+"""Integer networks (SPEC.md 7.2): rows and outputs equal those of the text in float32 and int64, up to the bound."""
 
 from __future__ import annotations
 

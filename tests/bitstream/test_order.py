@@ -1,4 +1,4 @@
-"""Files with several faults (SPEC.md 10.1): which one is reported, and what keep_going saves of damaged files."""
+"""Files with several faults (SPEC.md 10.1): the reported fault, and the chunks that keep_going saves."""
 
 from __future__ import annotations
 

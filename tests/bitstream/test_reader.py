@@ -1,4 +1,4 @@
-"""Files that are read as bytes arrive, or by ranges (SPEC.md 10.1 and 10.2): what a whole file gives, part by part."""
+"""Files read by arriving bytes or by ranges (SPEC.md 10.1, 10.2): the results equal those of a whole file."""
 
 from __future__ import annotations
 

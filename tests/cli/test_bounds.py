@@ -1,4 +1,4 @@
-"""--max-anchors, --max-work and --max-memory: more is refused by the header, and memory is as it is measured."""
+"""--max-anchors, --max-work and --max-memory: larger files are refused by the header. The memory is measured."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The command line as a user and a script meet it: exit statuses, what is printed where, what is left on the disk."""
+"""The command line for users and scripts: exit statuses, output on stdout and stderr, and files on the disk."""
 
 from __future__ import annotations
 

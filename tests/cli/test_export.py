@@ -1,4 +1,4 @@
-"""The command export: its outputs, what it says, and what it refuses."""
+"""The command export: its outputs, its messages, and its errors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""No command overwrites what it reads, or what it did not make: faults that were found, and their like."""
+"""No command overwrites its input, or files that it did not make: tests of past and similar faults."""
 
 from __future__ import annotations
 

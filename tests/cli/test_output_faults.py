@@ -1,7 +1,7 @@
 """Every command while its outputs fail: each write, flush, rename, new folder and new file in turn.
 
-After each fault the inputs are as they were, each output is the old one or the whole new one, nothing else is left,
-and the command has printed one line. Then it succeeds, whatever was left.
+After each fault the inputs are unchanged, each output is the old one or the complete new one, no other file is left,
+and the command has printed one line. The next run succeeds, regardless of the files that were left.
 """
 
 from __future__ import annotations

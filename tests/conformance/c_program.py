@@ -1,4 +1,4 @@
-"""The decoder in C (conformance/c), compiled, and what it says of a file."""
+"""The decoder in C (conformance/c), compiled, and its results for a file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Small files with every section and form, and what hostile files are made of them, for any decoder."""
+"""Small files with every section and form, and hostile files derived from them, for any decoder."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The decoder in C (conformance/c): it gives what refcodec gives, and the compiler's sanitizers are silent."""
+"""The decoder in C (conformance/c): its results equal those of refcodec, without sanitizer reports."""
 
 from __future__ import annotations
 

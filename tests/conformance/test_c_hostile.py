@@ -1,4 +1,4 @@
-"""The decoder in C on hostile bytes: refcodec's verdict, silent sanitizers, bounded memory, and nothing left behind."""
+"""The decoder in C on hostile bytes: refcodec's verdicts, no sanitizer reports, bounded memory, nothing left behind."""
 
 from __future__ import annotations
 

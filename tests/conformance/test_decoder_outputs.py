@@ -1,4 +1,4 @@
-"""Outputs of the decoders, in each language: none is written over what is read, or changed by a run that fails."""
+"""Outputs of the decoders in each language: none overwrites an input, and failed runs change no file."""
 
 from __future__ import annotations
 

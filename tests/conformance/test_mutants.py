@@ -1,4 +1,4 @@
-"""The suite tested: planted bugs, the grader, and the committed record of what catches what."""
+"""Tests of the suite: planted bugs, the grader, and the committed record of the vectors that catch each bug."""
 
 from __future__ import annotations
 

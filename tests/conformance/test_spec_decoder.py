@@ -1,4 +1,4 @@
-"""The second decoder (conformance/spec_decoder): it agrees with refcodec, and needs nothing of it."""
+"""The second decoder (conformance/spec_decoder): it agrees with refcodec, and does not import it."""
 
 from __future__ import annotations
 

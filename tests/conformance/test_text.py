@@ -1,4 +1,4 @@
-"""SPEC.md's blocks as a decoder of whole files (Annex H): the text and both decoders say the same of each file."""
+"""SPEC.md's blocks as a decoder of whole files (Annex H): the text and both decoders agree on each file."""
 
 from __future__ import annotations
 

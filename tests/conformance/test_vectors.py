@@ -1,4 +1,4 @@
-"""The suite's vectors: the manifest is right, the generator makes the same bytes again, every decoder here agrees."""
+"""The suite's vectors: the manifest is right, the generator reproduces the bytes, and every decoder here agrees."""
 
 from __future__ import annotations
 

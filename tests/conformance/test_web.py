@@ -1,4 +1,4 @@
-"""The decoder in WebAssembly and JavaScript: refcodec's verdicts and digests, in all ways of reading a file."""
+"""The decoder in WebAssembly and JavaScript: verdicts and digests of refcodec, for all ways of reading a file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a viewer takes of the decoder in WebAssembly: Gaussians, cameras and metadata, as refcodec has them."""
+"""The inputs of a viewer from the decoder in WebAssembly: Gaussians, cameras and metadata, as in refcodec."""
 
 from __future__ import annotations
 

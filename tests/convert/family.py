@@ -1,7 +1,7 @@
-"""Models as Scaffold-GS, HAC, HAC++ and CAT-3DGS train them, of random numbers: their folders, and what they show.
+"""Models of Scaffold-GS, HAC, HAC++ and CAT-3DGS with random numbers: their folders and their Gaussians.
 
 The layouts are those that the programs' own code writes and reads: names, order and types of all properties, names of
-networks, where the appearance enters, and what is a logarithm.
+networks, the inputs with the appearance, and the values that are logarithms.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Folders of Scaffold-GS that refcodec exported, converted: they are the scene again, which encodes and trains."""
+"""Folders of Scaffold-GS that refcodec exported, converted: they give the same scene, which encodes and trains."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Models of the Scaffold-GS family: they convert, draw what their own networks say, fit, encode and decode."""
+"""Models of the Scaffold-GS family: they convert, draw as their own networks do, fit, encode and decode."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Folders of models that are damaged or meant to harm: one line each, nothing is run, and memory is bounded."""
+"""Damaged or hostile model folders: one line each, no code is run, and memory is bounded."""
 
 from __future__ import annotations
 

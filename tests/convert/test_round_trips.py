@@ -1,4 +1,4 @@
-"""Every format that is written and read: what a scene loses on the way out, back, and through another encode, in dB."""
+"""Every format that is written and read: the loss of a scene by export, conversion and another encoding, in dB."""
 
 from __future__ import annotations
 

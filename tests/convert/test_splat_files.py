@@ -1,4 +1,4 @@
-"""Files of splats: each format gives what was written, up to its own rounding, or one line about what is wrong."""
+"""Splat files: each format gives the written values up to its own rounding, or one line about the fault."""
 
 from __future__ import annotations
 

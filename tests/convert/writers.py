@@ -1,4 +1,4 @@
-"""Writers of files of splats, each by the text of its format: what the readers are checked with."""
+"""Writers of splat files by the text of each format, as references for the readers."""
 
 from __future__ import annotations
 

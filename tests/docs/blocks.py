@@ -1,14 +1,14 @@
 """The code blocks of the manual, and how they are run.
 
-A comment above each block of a shell, Python or JavaScript says what the tests do with it:
+A comment above each block of a shell, Python or JavaScript states how the tests use it:
 
     <!-- run -->                    it is run, and must succeed
     <!-- run: it exits with 1 -->   it is run, and its last command must exit with this status
     <!-- run: needs cc -->          it is run if there is such a program, or package of Python
-    <!-- run: trains -->            it is run, with trainings of some steps; the test is a slow one
+    <!-- run: trains -->            it is run, with some training steps; the test is slow
     <!-- not run: WHY -->           it is not run
 
-The blocks of a page are run in order, in one folder that has the project's files: as a reader would do it.
+The blocks of a page are run in order, in one folder that has the project's files, as a reader would run them.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 LANGUAGES = ("sh", "python", "js")
 # What a reader has at hand in the folder of the project.
 _THERE = ("SPEC.md", "benchmarks", "conformance", "examples", "refcodec", "vectors")
-# Trainings of some steps. The last of two equal options counts.
+# Training runs of some steps. The last of two equal options counts.
 _TINY = {
     "train": "--steps 12 --size 48 --anchors 300",
     "convert": "--steps 12 --size 48 --anchors 300",

@@ -1,4 +1,4 @@
-"""Every link of every Markdown file leads to a file that is there, and to a heading that it has."""
+"""Every link in a Markdown file leads to an existing file and heading."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The manual's code blocks do what their page says, and every command in them is one that exists."""
+"""The manual's code blocks have the results that their pages state, and every command in them exists."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The encoder's choices (SPEC.md Annex B): whatever the anchors, they can be written, and are what they claim to be."""
+"""The encoder's choices (SPEC.md Annex B): any anchors can be written, and each choice has its stated property."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""LPIPS with made-up weights, against torch's own modules; its file of weights; the converter and what it refuses."""
+"""LPIPS with made-up weights, against torch's own modules; its weights file; the converter and its errors."""
 
 from __future__ import annotations
 

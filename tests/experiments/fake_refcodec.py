@@ -1,8 +1,7 @@
-"""refcodec with a training and an evaluation that take no time, made up. Run as a program by the tests of demo, rd and
-experiment.
+"""A substitute for refcodec with simulated training and evaluation. The tests of demo, rd and experiment run it.
 
-As `train` of refcodec, it writes a line to stderr every few steps, stops at SIGINT with what it has and status 130, and
-resumes. Each step takes as many milliseconds as FAKE_STEP says.
+Like `refcodec train`, it writes a line to stderr every few steps, stops at SIGINT with its result so far and status
+130, and resumes. FAKE_STEP is the time of a step in milliseconds.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The demo: its page, and what its commands leave when they are done, interrupted or wrong. Its training is made up."""
+"""The demo: its page, and the files of finished, interrupted and failed commands. Its training is simulated."""
 
 from __future__ import annotations
 
@@ -243,7 +243,7 @@ def test_demo(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 @pytest.mark.usefixtures("fake")
 def test_options_of_train_are_passed_on(tmp_path: Path) -> None:
-    """Both trainings get them, and the page shows the photographs that were held out."""
+    """Both training runs get them, and the page shows the photographs that were held out."""
     out = tmp_path / "out"
     given = ["--voxel", "0.5", "--holdout", "30", "--set", "masks.epsilon=0.02", "--set", "size=40"]
     assert main(["demo", "-o", str(out), "--steps", "3", *given]) == 0
@@ -259,7 +259,7 @@ def test_options_of_train_are_passed_on(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.usefixtures("fake")
 def test_interrupted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Ctrl-C once: both trainings keep what they have, and the page shows it. Going on is tested with rd."""
+    """Ctrl-C once: both training runs save their scenes, and the page shows them. The tests of rd resume."""
     out = tmp_path / "out"
     arguments = ["demo", "-o", str(out), "--steps", "400"]
     program = f"import sys; from refcodec.experiments import runs; runs.PROGRAM = {FAKE!r}\n"

@@ -1,4 +1,4 @@
-"""The command `experiment`: what it runs, what it leaves, and that both engines do the same."""
+"""The command `experiment`: its commands, its files, and the equality of both engines."""
 
 from __future__ import annotations
 
@@ -428,7 +428,7 @@ def test_stopping(tmp_path: Path, ray: FakeRay, monkeypatch: pytest.MonkeyPatch,
 
 @pytest.mark.slow
 def test_the_same_files_by_both_engines(tmp_path: Path) -> None:
-    """True trainings, by processes of this machine and by a Ray of this machine."""
+    """True training runs, by processes of this machine and by a Ray of this machine."""
     pytest.importorskip("ray", reason="the engine ray needs the extra ray")
     program = [sys.executable, "-m", "refcodec", "experiment", str(ROOT / "benchmarks" / "experiments" / "tiny.toml")]
     files = []

@@ -1,4 +1,4 @@
-"""An experiment's file is read strictly, and its cells are what it says."""
+"""An experiment's file is read strictly, and its cells match the file."""
 
 from __future__ import annotations
 
@@ -227,11 +227,11 @@ def test_what_a_definition_depends_on(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("path", sorted(FILES.iterdir()), ids=lambda path: path.stem)
 def test_the_files_of_the_project(path: Path) -> None:
-    """The settings of all cells are accepted, and the file's own notes count its trainings."""
+    """The settings of all cells are accepted, and the file's own notes count its training runs."""
     experiment = read_experiment(path)
     count = len(list(cells(experiment)))
     if path.stem != "tiny":
-        assert re.search(rf"^# (There are )?{count} trainings", path.read_text(), re.MULTILINE)
+        assert re.search(rf"^# (There are )?{count} training runs", path.read_text(), re.MULTILINE)
     for scene in experiment.scenes:
         if "$" not in scene.photographs:
             assert experiment.photographs(scene).is_dir()

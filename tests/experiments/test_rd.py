@@ -1,4 +1,4 @@
-"""Curves of rate and distortion: Bjontegaard's deltas of known curves, and the command. Its training is made up."""
+"""Rate-distortion curves: Bjontegaard's deltas of known curves, and the command. Its training is simulated."""
 
 from __future__ import annotations
 
@@ -123,7 +123,7 @@ def test_rd(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 @pytest.mark.usefixtures("fake")
 def test_options_of_train_are_passed_on(tmp_path: Path) -> None:
-    """The trainings get them as they are. What is compared is what was held out."""
+    """The training runs get them unchanged. The held-out photographs are compared."""
     out = tmp_path / "curve"
     given = "--background 9,20,30 --holdout 30 --anchors 700 --set masks.epsilon=0.02 --set size=40"
     command = ["rd", PHOTOGRAPHS, "-o", str(out), "--steps", "2", "--rates", "0.04", *given.split()]

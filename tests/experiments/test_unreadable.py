@@ -1,4 +1,4 @@
-"""What is there and cannot be read is not missing: it is not made again, and nothing is removed for it."""
+"""Unreadable files are not missing: they are not made again, and nothing is removed for them."""
 
 from __future__ import annotations
 

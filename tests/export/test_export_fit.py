@@ -1,4 +1,4 @@
-"""One set of Gaussians for all views: exact where the scene does not depend on the view, and near where it does."""
+"""One set of Gaussians for all views: exact for a scene that does not depend on the view, else near."""
 
 from __future__ import annotations
 

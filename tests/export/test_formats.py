@@ -1,4 +1,4 @@
-"""Splat files, read back by readers of this module that share nothing with the writers, and by other programs."""
+"""Splat files, read by readers in this module that share no code with the writers, and by other programs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The folder of Scaffold-GS, loaded as the code of its authors does, and what it then draws."""
+"""The folder of Scaffold-GS, loaded as in the code of its authors, and its renderings."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""JSON and text from outside: every input gives a value or one error, and what is shown steers no terminal."""
+"""Untrusted JSON and text: every input gives a value or one error, and shown text cannot control a terminal."""
 
 from __future__ import annotations
 

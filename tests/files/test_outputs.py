@@ -1,4 +1,4 @@
-"""The rules for outputs (files.outputs), files that are whole or missing (files.stage), locks and signals."""
+"""The rules for outputs (files.outputs), complete or missing files (files.stage), locks and signals."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Files from outside that the commands read: each is used as it says, or refused in one line with status 64."""
+"""Untrusted files that the commands read: each is used as documented, or refused in one line with status 64."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Files behind a URL: the ranges that are needed are fetched, and a server is believed in nothing."""
+"""Files at a URL: only the needed ranges are fetched, and no answer of the server is trusted."""
 
 from __future__ import annotations
 

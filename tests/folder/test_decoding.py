@@ -1,4 +1,4 @@
-"""A file that is decoded into a folder some chunks at a time: the folder of the whole scene, or nothing at all."""
+"""Decoding a file into a folder in steps of some chunks: the result is the folder of the whole scene, or no folder."""
 
 from __future__ import annotations
 

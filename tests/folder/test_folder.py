@@ -1,4 +1,4 @@
-"""The scene folder: what decode writes, encode turns into the same bytes; anything else is a clear error."""
+"""The scene folder: encode turns the output of decode into the same bytes, and any other folder is a clear error."""
 
 from __future__ import annotations
 

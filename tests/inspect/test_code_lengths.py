@@ -1,4 +1,4 @@
-"""Code lengths and curves of the page, beside the probabilities that SPEC.md's rules give value by value."""
+"""Code lengths and curves of the page, against the probabilities of SPEC.md's rules for each value."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From a byte, a code or a clause to all that is of it."""
+"""Explanations of bytes, codes and clauses."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""inspect: every byte has its place, whatever the bytes are; the trace is the decoding."""
+"""inspect: every byte of any input has an element, and the trace follows decoding."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What inspect holds of a file: the file itself and little more, whatever the file claims."""
+"""The memory of inspect: the file and little more, regardless of the counts that the file states."""
 
 from __future__ import annotations
 

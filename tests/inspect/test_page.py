@@ -1,4 +1,4 @@
-"""inspect --html: the page says what the file and inspect's JSON say, and nothing in a file can steer it."""
+"""inspect --html: the page agrees with the file and with inspect's JSON, and a file cannot inject markup into it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The native kernel as the tests use it: compiled from this tree, whatever is installed.
+"""The native kernel for the tests: compiled from this tree, regardless of the installed one.
 
 REFCODEC_TEST_KERNEL names one that is compiled already, for another processor: tests/native/aarch64.
 """

@@ -1,4 +1,4 @@
-"""Folders of posed photographs: what is written is read back, no step changes geometry, and faults are clear errors."""
+"""Folders of posed photographs: written values are read back, no step changes geometry, and faults are clear errors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where compiled functions are kept: outside the package, in folders that their sources name, and not without end."""
+"""The cache of compiled functions: outside the package, in folders named by their sources, and bounded."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is up in a scene (refcodec.render.camera): rigs of cameras whose up is known."""
+"""The up direction of a scene (refcodec.render.camera): camera rigs with a known up direction."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A small set of photographs, and a training of seconds on it."""
+"""A small set of photographs, and a training run of some seconds on it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Anchors: units, what a camera may see, growth."""
+"""Anchors: units, visibility to a camera, growth."""
 
 from __future__ import annotations
 

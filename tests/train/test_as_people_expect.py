@@ -1,4 +1,4 @@
-"""What a person who trains meets: what is said, what is refused, and what the other commands know of a training."""
+"""Training for users: its messages and errors, and the information that the other commands have about it."""
 
 from __future__ import annotations
 

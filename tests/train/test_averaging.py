@@ -1,4 +1,4 @@
-"""A training ends with the mean of its last steps."""
+"""Training ends with the mean of its last steps."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Trainings that go on from a scene: they begin with what it shows, and keep its dimensions."""
+"""Training that continues from a scene: it begins with the same image, and keeps the dimensions."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def test_it_ends_with_a_file_of_the_same_dimensions(tmp_path: Path, capsys: pyte
     source = str(photographed(scene, tmp_path / "photographs"))
     words = ["train", source, "-o", str(tmp_path / "better"), "--size", "48", "--steps", "25"]
     assert main([*words, "--from", str(tmp_path / "scene"), "--keep-state"]) == 0
-    assert "anchors of the scene to go on from" in capsys.readouterr().err
+    assert "anchors of the scene to continue" in capsys.readouterr().err
     assert main(["encode", str(tmp_path / "better"), "-o", str(tmp_path / "a.c3gs")]) == 0
     d = parse((tmp_path / "a.c3gs").read_bytes()).scene.dimensions
     assert (d.features, d.offset_count, d.render_width) == (FEATURES, OFFSETS, WIDTH)
@@ -104,7 +104,7 @@ def test_it_ends_with_a_file_of_the_same_dimensions(tmp_path: Path, capsys: pyte
     more = [*words[:-1], "30", "--resume"]
     assert main(more) == 64
     assert main([*more, "--from", str(tmp_path / "scene")]) == 0
-    # A coded scene is one to go on from, too.
+    # Training can continue from a coded scene, too.
     assert main([*words[:3], str(tmp_path / "third"), *words[4:], "--from", str(tmp_path / "better")]) == 0
 
 

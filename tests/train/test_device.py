@@ -1,9 +1,9 @@
 """Training on a device that is not the CPU, without one.
 
 A pretended device stands for a GPU. Its tensors hold their numbers in the CPU's memory, but to torch they are
-elsewhere. What fails on a GPU fails on it: an operation on tensors of two devices, and an array of NumPy made of a
-tensor that was not copied to the CPU. Everything else gives true numbers, and whole trainings by the definitions in
-torch are compared with those by the kernels for CPUs. Drawing runs on the CPU.
+elsewhere. Operations that fail on a GPU fail on it: those on tensors of two devices, and a NumPy array from a tensor
+that was not copied to the CPU. All others give true numbers. Whole training runs by the definitions in torch are
+compared with those by the kernels for CPUs. Drawing runs on the CPU.
 """
 
 from __future__ import annotations
@@ -184,7 +184,7 @@ def test_the_pretended_device_fails_where_a_gpu_does(device: str) -> None:
     assert there.cpu().tolist() == [0, 7, 2]
 
 
-# --- whole trainings --------------------------------------------------------------------------------------------------
+# --- whole training runs ----------------------------------------------------------------------------------------------
 
 
 def trained(photographs: PhotographSet, settings: TrainSettings, device: str, steps: int | None = None) -> Trainer:
@@ -210,7 +210,7 @@ def tensors(training: Trainer) -> dict[str, Tensor]:
 def test_a_step_is_that_of_the_cpu(device: str, tiny: PhotographSet, tmp_path: Path) -> None:
     """A step from one state: what it does to all that is learnt, at first, where anchors grow, and in each phase.
 
-    Two trainings of many steps are not compared so: what rounding makes different grows with each step. Values are
+    Two training runs of many steps are not compared so, because rounding differences grow with each step. Values are
     rounded as soon as they can be, because devices have noise of their own.
     """
     settings, path = varied(TrainSettings(), {**SHORT, "phases.rounding.begin": 0.4}), tmp_path / "state"

@@ -1,4 +1,4 @@
-"""The fitter: real anchors from points, networks that the integer codec takes over, and what they gain."""
+"""The fitter: real anchors from points, networks for the integer codec, and their gain."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Starts without points: where transparent photographs show something, and with few points."""
+"""Starts without points: within the visual hull of transparent photographs, and with few points."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A training that is interrupted and goes on ends with the same bytes, wherever it was interrupted."""
+"""An interrupted training run that is resumed ends with the same bytes, regardless of the step of the interrupt."""
 
 from __future__ import annotations
 

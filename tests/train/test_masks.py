@@ -1,4 +1,4 @@
-"""Masks: anchors whose offsets are all far from being kept go, and what is left means the same."""
+"""Masks: anchors with only low masks are removed, and the others keep their meaning."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a training tells of its way: schedule, time left, bytes, first and last lines, logs; and more steps."""
+"""The reports of training: schedule, time left, bytes, first and last lines, logs; and more steps."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The saved state of a training: written whole or not at all, and loaded as it was or refused."""
+"""The saved state of training: written completely or not at all, and loaded unchanged or refused."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whole trainings of seconds: their results, and the states that they refuse."""
+"""Whole training runs of some seconds: their results, and the states that they refuse."""
 
 from __future__ import annotations
 

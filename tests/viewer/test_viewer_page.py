@@ -1,4 +1,4 @@
-"""The page in a browser: from the disk and without network, its pictures, its words, and what it refuses."""
+"""The page in a browser: from the disk and without network, its pictures, its texts, and its errors."""
 
 from __future__ import annotations
 

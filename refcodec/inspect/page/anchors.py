@@ -57,7 +57,7 @@ def bits(measures: Measures, cameras: list[NamedCamera]) -> dict[str, Any]:
 
 
 def _spread(counts: NDArray[np.int64]) -> Plot:
-    """Returns a plot of how many anchors have so many bits."""
+    """Returns a plot of the number of anchors by bits."""
     first, last = (_quantile(counts, part) for part in (0.001, 0.999))
     wide = -(-(last + 1 - first) // _BARS)
     ends = first // wide * wide + wide * np.arange((last - first) // wide + 3)

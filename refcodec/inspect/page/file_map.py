@@ -45,7 +45,7 @@ _OTHER = "ancillary", "12.1"
 
 @dataclass(frozen=True)
 class Piece:
-    """A part of the file, with the padding behind it. kind: a key of _KINDS. inner: its parts, or none."""
+    """A part of the file, with the padding after it. kind: a key of _KINDS. inner: its parts, or none."""
 
     name: str
     kind: str

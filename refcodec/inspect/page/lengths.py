@@ -18,7 +18,7 @@ from ...bitstream.tables import PRECISION, TOTAL, ModelSet, tables
 from ...pages.plots import F64, Plot, histogram
 
 # Symbols of a larger magnitude are counted together. The histogram of a channel has a place for each of the others,
-# behind one for those below and before one for those above.
+# after one for those below and before one for those above.
 LIMIT = 511
 _PLACES = 2 * LIMIT + 3
 # Distinct models per step, which bounds the memory.
@@ -99,7 +99,7 @@ class Tally:
 
     def _add_curve(self, models: ModelSet, model: Int64, centre: Int64, raw: Int64) -> None:
         """Adds the probabilities of all values of some models. centre, raw: int64 [n], as SELECT gives them."""
-        # A model so far away has no part of its table within the limit.
+        # No part of the table of such a distant model is within the limit.
         most = int(models.radius.max()) + LIMIT + 2
         near = np.abs(centre) <= most
         if not near.all():

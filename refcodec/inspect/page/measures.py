@@ -62,9 +62,9 @@ class Measures:
     bits: the code lengths of the symbols of each kind of substream, by the names of DECODED (inspect.meaning). Kinds
         that the file stores raw are missing.
     raw_positions: the bytes of positions that are raw.
-    anchor_bits: int64 [BITS_MAX + 1], how many anchors have so many whole bits of attributes, or more for the last.
-    mask_counts: int64 [2, contexts], how many offsets are masked, and kept, by the context of SPEC 7.6.
-    kept: int64 [K + 1], how many anchors keep so many offsets. kept_bits: their bits of attributes.
+    anchor_bits: int64 [BITS_MAX + 1], the number of anchors by whole bits of attributes; the last one has all above.
+    mask_counts: int64 [2, contexts], the numbers of masked and kept offsets by the context of SPEC 7.6.
+    kept: int64 [K + 1], the number of anchors by kept offsets. kept_bits: their bits of attributes.
     scene: with the planes and networks, and no anchor. It is set by `finish`.
     """
 

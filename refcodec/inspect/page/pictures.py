@@ -35,7 +35,7 @@ def png(pixels: Bytes2, grey: bool = False) -> bytes:
     """Returns a picture as PNG. pixels: uint8 [rows, columns], indices of `palette`, or greys from 0 to 255."""
     rows, columns = pixels.shape
     head = struct.pack(">IIBBBBB", columns, rows, 8, 0 if grey else 3, 0, 0, 0)
-    # Each row begins with the number of its filter. 0 is none.
+    # Each row begins with the number of its filter, where 0 stands for no filter.
     lines = np.concatenate([np.zeros((rows, 1), np.uint8), pixels], axis=1)
     colours = [] if grey else [(b"PLTE", palette().tobytes())]
     parts = [(b"IHDR", head), *colours, (b"IDAT", zlib.compress(lines.tobytes(), 9)), (b"IEND", b"")]

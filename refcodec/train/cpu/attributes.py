@@ -37,7 +37,7 @@ def _gather(out: F32, change: F32, columns: I64, width: int) -> Any:
 
 @compiled(inline="always")
 def _dropped(kept: F32, r: int, but: int) -> np.float32:
-    """One minus the masks of an anchor's offsets, multiplied, but for one of them."""
+    """The product of one minus the mask over an anchor's offsets, except one of them."""
     product = _ONE
     for k in range(kept.shape[1]):
         if k != but:
@@ -101,7 +101,7 @@ def _sums_backward(
 
 
 class Counting(NamedTuple):
-    """What attributes' bits follow from beside values.
+    """The inputs of attribute_bits besides the values.
 
     rows: of F_h's last layer, which make means and scales. hyper: that layer. carm: the layers of each network of CARM.
     columns: int64 [2, D], those of CARM's outputs that each mean and scale adds, or -1. features: their number. floor:

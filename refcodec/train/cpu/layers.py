@@ -22,7 +22,7 @@ _HALF, _MOST = np.float32(0.5), np.float32(ACTIVATION_MAX)
 
 @compiled()
 def fold(weight: F32, bias: F32, before: F32, after: F32, step: F32, gridded: bool) -> Any:
-    """The file's weights and biases, [out, in] and [out], of those of order one."""
+    """Converts weights and biases of order one, [out, in] and [out], to those of the file."""
     by_weight, by_bias = np.empty(weight.shape, np.float32), np.empty(bias.shape, np.float32)
     for o in range(weight.shape[0]):
         for i in range(weight.shape[1]):
@@ -35,7 +35,7 @@ def fold(weight: F32, bias: F32, before: F32, after: F32, step: F32, gridded: bo
 
 @compiled()
 def unfold(weight: F32, bias: F32, before: F32, after: F32) -> None:
-    """Makes gradients of the file's weights and biases those of the weights and biases of order one."""
+    """Converts gradients of the file's weights and biases to those of order one."""
     for o in range(weight.shape[0]):
         for i in range(weight.shape[1]):
             weight[o, i] *= after[o] / before[i]
@@ -44,7 +44,7 @@ def unfold(weight: F32, bias: F32, before: F32, after: F32) -> None:
 
 @compiled(parallel=True)
 def _rectify(values: F32, rounding: bool) -> Mask:
-    """Makes sums [n, out] activations. Returns where they have a gradient."""
+    """Turns sums [n, out] into activations. Returns where they have a gradient."""
     inside = np.empty(values.shape, np.bool_)
     for r in prange(values.shape[0]):
         for c in range(values.shape[1]):
@@ -68,7 +68,7 @@ def _through(upstream: F32, inside: Mask) -> F32:
 
 
 class Plan(NamedTuple):
-    """What a layer does beside its weights.
+    """The properties of a layer besides its weights.
 
     before [in], after [out]: the integers that stand for one at inputs and outputs, powers of two. step [out]: of each
     row's weights and bias in the file, which count if gridded. The result is activations if it rectifies, which are
@@ -84,7 +84,7 @@ class Plan(NamedTuple):
 
 
 class Trace(NamedTuple):
-    """What the way back through a layer needs of the way forward."""
+    """The values of the forward pass that the backward pass needs."""
 
     x: Tensor
     by_weight: Tensor
@@ -93,7 +93,7 @@ class Trace(NamedTuple):
 
 
 def layer_forward(plan: Plan, x: Tensor, weight: Tensor, bias: Tensor) -> tuple[Tensor, Trace]:
-    """What a layer makes of x, float32 [n, in], with weights [out, in] and biases [out] of order one: [n, out]."""
+    """The outputs [n, out] of a layer for x, float32 [n, in], with weights [out, in] and biases [out] of order one."""
     folded = fold(weight.detach().numpy(), bias.detach().numpy(), *plan[:4])
     by_weight, by_bias = (torch.from_numpy(v) for v in folded)
     values = torch.addmm(by_bias, x, by_weight.T)

@@ -21,7 +21,7 @@ F32 = NDArray[np.float32]
 # Symbols that a thread takes at once.
 _BLOCK = 1 << 13
 _ZERO, _ONE, _HALF, _TWO = (np.float32(v) for v in (0, 1, 0.5, 2))
-# exp2 knows no exponents below.
+# exp2 accepts no exponents below this one.
 _LEAST = np.float32(-126)
 _PER_MEAN, _PER_SCALE = np.float32(1 / MEAN_UNIT), np.float32(1 / SCALE_UNIT)
 _BY_MEAN = np.float32(1 / (MEAN_UNIT * math.log(2)))
@@ -68,9 +68,9 @@ def _laplace(t: Any) -> Any:
 
 @compiled(inline="always")
 def one_likelihood(mean: Any, scale: Any, symbol: Any, gauss: bool, floor: np.float32) -> Any:
-    """Of eight symbols: probabilities, and what bits change by with means and scales.
+    """The probabilities of eight symbols, and the derivatives of their bits by means and scales.
 
-    A gradient for scales past the table's smallest one is among them.
+    They include a gradient for scales below the table's smallest one.
     """
     zero = splat(_ZERO)
     narrow = splat(_ONE) / exp2(minimum(maximum(scale, splat(_LOW)), splat(_HIGH)) * splat(_PER_SCALE))
@@ -91,7 +91,7 @@ def one_likelihood(mean: Any, scale: Any, symbol: Any, gauss: bool, floor: np.fl
 
 @compiled(parallel=True)
 def _likelihood(mean: F32, scale: F32, symbol: F32, gauss: bool, floor: np.float32, to: F32) -> None:
-    """one_likelihood of arrays of a multiple of eight values: to [3, n]."""
+    """Writes one_likelihood of arrays of a multiple of eight values to [3, n]."""
     p_to, mean_to, scale_to = to[0], to[1], to[2]
     for block in prange((mean.shape[0] + _BLOCK - 1) // _BLOCK):
         for at in range(block * _BLOCK, min(block * _BLOCK + _BLOCK, mean.shape[0]), WIDTH):

@@ -111,7 +111,7 @@ def _forward(
                 store(similar, at, s)
                 if at + WIDTH <= values:
                     summed = summed + s
-            # What lies beyond the row's end is neither a pixel nor may it reach one.
+            # Values beyond the end of the row are not pixels, and must not affect pixels.
             rest = np.float64(total(summed))
             for at in range(values // WIDTH * WIDTH, values):
                 rest += similar[at]

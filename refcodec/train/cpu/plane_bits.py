@@ -54,7 +54,7 @@ def _sums(weight: F32, bias: F32, x: F32, to: F32) -> None:
 
 @compiled()
 def _rectify(values: F32, inside: F32, rounding: bool) -> None:
-    """Makes sums activations. inside: 1 where they have a gradient, else 0."""
+    """Turns sums into activations. inside: 1 where they have a gradient, else 0."""
     zero, one, half, most = splat(_ZERO), splat(_ONE), splat(_HALF), splat(_MOST)
     for at in range(0, values.size, WIDTH):
         value = load(values, at)
@@ -118,7 +118,7 @@ def _plane_bits(
     Sets gradients of their bits' sum: gradient [planes, B, B], and g* [planes, out, in + 1, 8], as _add_gradients.
     """
     planes, size = symbols.shape[0], symbols.shape[1]
-    # Of a plane with its border, row by row: one row above, a number at the left and one at the right.
+    # A plane with its border, row by row: one row above, and one number at either side of each row.
     stride = size + 2
     begin, count = stride + 1, (size * stride + _BLOCK - 1) // _BLOCK * _BLOCK
     valid = np.zeros(count, np.float32)
@@ -180,7 +180,7 @@ class PlaneBits(torch.autograd.Function):
     """PlaneBits.apply(plans, symbols, floor, *parameters) -> bits of all symbols, RateModel.plane_bits.
 
     plans: of SARM's three layers. symbols: float32 [planes, ch, B, B]. floor: see EntropySettings. parameters: weights
-    and biases of each layer. The bits are part of a loss: what they are multiplied by is not negative.
+    and biases of each layer. The bits are part of a loss, thus their factor is not negative.
     """
 
     @staticmethod

@@ -28,7 +28,7 @@ _UNIT, _MOST = np.float32(2.0**PLANE_SHIFT), np.float32(ACTIVATION_MAX)
 
 @compiled(inline="always")
 def _plane(scale: int, i: int, j: int, size: int) -> Any:
-    """Of a value at row i and column j of a scale: the plane that has it, and its place there (SPEC 6.9)."""
+    """The plane of the value at row i and column j of a scale, and its place there (SPEC 6.9)."""
     if scale == 0:
         return 0, i * size + j
     return 1 + 2 * (i // size) + j // size, (i % size) * size + j % size

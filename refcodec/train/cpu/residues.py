@@ -89,7 +89,7 @@ def _symbols_backward(values: F32, steps: F32, kind: int, upstream: F32, begin: 
 
 
 def _seeds(seed: int, count: int) -> list[np.uint64]:
-    """Seeds of as many streams, which are far from each other."""
+    """The seeds of some streams, which are far from each other."""
     return [np.uint64((seed + (i << 48)) % (1 << 64)) for i in range(count)]
 
 
@@ -99,7 +99,7 @@ def _array(value: Tensor) -> F32:
 
 
 class Shown(torch.autograd.Function):
-    """Shown.apply(steps, seed, *values) -> as many tensors: values + residue * step, which the image shows.
+    """Shown.apply(steps, seed, *values) -> a tensor for each: values + residue * step, which the image shows.
 
     The residue is rounding's, or noise in [-0.5, 0.5). It has no gradient: a value has the gradient of the result, a
     step has it times the residue.
@@ -128,7 +128,7 @@ class Shown(torch.autograd.Function):
 class Symbols(torch.autograd.Function):
     """Symbols.apply(steps, seed, *values) -> float32 [n, sum of w]: values / step + residue, of which bits are counted.
 
-    All is as in Shown.
+    The arguments are those of Shown.
     """
 
     @staticmethod

@@ -78,7 +78,7 @@ class FoldedMlp(nn.Module):
         return x
 
     def _run(self, layer: int, x: Tensor, rows: slice) -> Tensor:
-        """What some rows of a layer make of its inputs."""
+        """The outputs of some rows of a layer."""
         if not has_kernel(x):
             return self.run_torch(layer, x, rows)
         from ..cpu.layers import FoldedLayer  # noqa: PLC0415 (needs numba)
@@ -89,11 +89,11 @@ class FoldedMlp(nn.Module):
         return outputs
 
     def pairs(self) -> list[Tensor]:
-        """Weights and biases of each layer, which take turns."""
+        """Weights and biases of each layer, alternating."""
         return [p for pair in zip(self.weights, self.biases, strict=True) for p in pair]
 
     def plan(self, layer: int, rows: slice = slice(None)) -> Plan:
-        """What some rows of a layer do beside their weights, for passes on CPUs."""
+        """The properties of some rows of a layer besides their weights, for passes on CPUs."""
         from ..cpu.layers import Plan  # noqa: PLC0415 (needs numba)
 
         before, after = self._ends(layer)
@@ -102,7 +102,7 @@ class FoldedMlp(nn.Module):
         return Plan(*arrays, self.gridded, layer < self.hidden, self.rounding)
 
     def run_torch(self, layer: int, x: Tensor, rows: slice) -> Tensor:
-        """What some rows of a layer make of its inputs, with torch on the device of the tensors."""
+        """The outputs of some rows of a layer, with torch on the device of the tensors."""
         x = functional.linear(x, *self._layer(layer, rows))
         if layer < self.hidden:
             x = functional.relu(x)
@@ -149,7 +149,7 @@ class FoldedMlp(nn.Module):
 
     @torch.no_grad()
     def set_grid(self, coarser: int) -> None:
-        """From now on each row's weights and bias are multiples of 2^coarser steps of its integers (SPEC 7.2).
+        """Makes each row's weights and bias multiples of 2^coarser steps of its integers from now on (SPEC 7.2).
 
         Raises networks.BoundError for a row that has none.
         """

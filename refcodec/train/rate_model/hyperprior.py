@@ -1,4 +1,4 @@
-"""The hyperprior: what F_h reads of an anchor, made of planes of symbols and of the anchor's place (SPEC.md 7.5)."""
+"""The hyperprior: the inputs of F_h, from planes of symbols and the position of an anchor (SPEC.md 7.5)."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ class Contexts:
 class VectorMatrix:
     """SPEC 7.5: planes over the first two principal axes at two scales, and gamma, the vector of the third axis.
 
-    channels: ch, 0 for no planes. frequencies: L, 0 for no gamma. With neither of them F_h has no inputs, so that it
+    channels: ch, 0 for no planes. frequencies: L, 0 for no gamma. With neither of them F_h has no inputs, and
     gives every anchor the same distributions.
     """
 

@@ -24,7 +24,7 @@ from .folded import FoldedMlp
 from .hyperprior import VectorMatrix, plane_neighbours
 from .units import LATENT_UNIT, MEAN_UNIT, SCALE_UNIT, STEP_ONE, round_through
 
-# The offsets that a training gives its anchors, and the widths of SARM's hidden layers, both as in the paper.
+# The number of offsets of an anchor, and the widths of SARM's hidden layers, both as in the paper.
 OFFSETS, SARM_WIDTH = 10, (16, 16)
 PAPER = Columns(SLICES, OFFSETS)
 
@@ -46,8 +46,8 @@ def count_torch(out: Tensor, change: Tensor, symbols: Tensor, kept: Tensor, floo
 class RateModel(nn.Module):
     """Planes, F_h with its steps, SARM and CARM of one scene of Main.
 
-    What is trained is `latents`, the planes in units of LATENT_UNIT symbols, and the networks' parameters. sarm: None
-    without planes. columns: of the attributes.
+    The trained values are `latents`, the planes in units of LATENT_UNIT symbols, and the parameters of the networks.
+    sarm: None without planes. columns: of the attributes.
     """
 
     def __init__(
@@ -163,9 +163,9 @@ class RateModel(nn.Module):
     def attribute_bits(self, hidden: Tensor, symbols: Tensor, kept: Tensor) -> Tensor:
         """Bits of features, scalings and offsets of each anchor, [n, 3].
 
-        hidden [n, .]: of F_h. symbols [n, D]. kept: float32 [n, K]. An anchor without a kept offset costs nothing.
+        hidden [n, .]: of F_h. symbols [n, D]. kept: float32 [n, K]. An anchor without a kept offset has no bits.
         """
-        # The pass of our own takes CARM's inputs for the symbols themselves, or the bounds of SPEC 7.9.
+        # In the kernel, CARM's inputs have a gradient only where they equal the symbols (SPEC 7.9).
         if has_kernel(hidden) and not (self.carm_unit is not None and symbols.requires_grad):
             return self._attribute_bits_on_cpu(hidden, symbols, kept)
         out = self.hyper.outputs(hidden, slice(0, 2 * self.columns.width))
@@ -200,11 +200,11 @@ class RateModel(nn.Module):
 
     @property
     def integers(self) -> bool:
-        """Whether activations are rounded and cut as in the decoder."""
+        """Whether activations are rounded and clamped as in the decoder."""
         return self.hyper.rounding
 
     def set_integers(self, on: bool) -> None:
-        """From now on activations are rounded and cut as in the decoder, in the units that they have, or are not."""
+        """Sets whether activations are rounded and clamped as in the decoder, in their present units."""
         for network in self._networks():
             network.rounding = on
 
@@ -219,12 +219,12 @@ class RateModel(nn.Module):
         self.set_integers(True)
 
     def set_grid(self, coarser: int) -> None:
-        """From now on the networks' weights are on grids, as FoldedMlp.set_grid has them."""
+        """Puts the networks' weights on grids, as FoldedMlp.set_grid does."""
         for network in self._networks():
             network.set_grid(coarser)
 
     def set_gridded(self, on: bool) -> None:
-        """From now on the networks' weights are on the grids that they have, or are not."""
+        """Sets whether the networks' weights are on their grids."""
         for network in self._networks():
             network.gridded = on
 

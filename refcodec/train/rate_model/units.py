@@ -10,7 +10,7 @@ from torch import Tensor
 
 from ...bitstream.tables import SCALE_END, STEP_LENGTH
 
-# SPEC 7.7: what one symbol is in a mean, and one octave in a scale index.
+# SPEC 7.7: the units of a mean per symbol, and those of a scale index per octave.
 MEAN_UNIT, SCALE_UNIT = 16.0, 8.0
 # The largest scale index that is worth training: sixteen octaves above the table.
 SCALE_MOST = SCALE_END + 8 * 16

@@ -1,1 +1,1 @@
-"""The stages of the method (refcodec.train.stage.Stage), which a training calls in turn."""
+"""The stages of the method (refcodec.train.stage.Stage), which a training run calls in turn."""

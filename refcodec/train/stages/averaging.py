@@ -1,4 +1,4 @@
-"""Averaging: a training ends with the mean of what it had in its last steps.
+"""Averaging: training ends with the mean of the values of its last steps.
 
 Each step follows one photograph, and values vary around the optimum of all photographs. Their mean is closer to it.
 """
@@ -16,14 +16,14 @@ from ..stage import Stage
 from ..state import Saved
 from .rate import Rate
 
-# Steps from one value that counts to the next. Neighbouring steps hardly differ.
+# Steps between two averaged values. Neighbouring steps hardly differ.
 PERIOD = 5
 
 
 class Averaging(Stage):
     """Means of the anchors' tables, of the rendering networks, and of planes and coding networks if there are any.
 
-    means: by name, like the values; empty before the first. count: how many values they are of.
+    means: by name, like the values; empty before the first. count: the number of values in them.
     """
 
     name = "averaging"
@@ -34,7 +34,7 @@ class Averaging(Stage):
         self.count = 0
 
     def _values(self) -> dict[str, Tensor]:
-        """What is averaged, by name: the tensors that a training changes."""
+        """The averaged values, by name: the tensors that training changes."""
         values = {f"tables.{name}": table for name, table in self.scaffold.tables.items()}
         values |= {f"networks.{name}": value for name, value in self.scaffold.networks.named_parameters()}
         if self.rate is not None and self.rate.model is not None:
@@ -42,12 +42,12 @@ class Averaging(Stage):
         return values
 
     def anchors_changed(self) -> None:
-        """Begins anew: means of other anchors are of no use."""
+        """Starts again, because means of other anchors are useless."""
         self.means, self.count = {}, 0
 
     @torch.no_grad()
     def end(self) -> None:
-        """Counts the values of now and then, and takes the means at the end of the training."""
+        """Adds the present values at intervals, and sets the means at the end of training."""
         if self.clock.mode(self.name) == "off":
             return
         last = self.clock.done == self.clock.steps
@@ -66,7 +66,7 @@ class Averaging(Stage):
             self.means[name].lerp_(value, 1 / self.count)
 
     def state(self) -> dict[str, Any]:
-        """The means, and of how many values they are."""
+        """The means, and the number of values in them."""
         return {"count": self.count, **self.means}
 
     def restore(self, state: Saved) -> None:

@@ -1,7 +1,7 @@
-"""Growth (Scaffold-GS): new anchors where the image asks for more, and transparent ones go.
+"""Growth (Scaffold-GS): anchors are added where the image needs more, and transparent ones are removed.
 
 An anchor grows where the gradient of an offset's projected centre is large, on the mean of the steps that drew it.
-Larger gradients make anchors on finer lattices.
+Larger gradients add anchors on finer lattices.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _STATISTICS = ("gradient", "drawn", "opacity", "seen")
 
 
 class Growth(Stage):
-    """Observes what is drawn, and lets anchors grow.
+    """Observes the drawn Gaussians, and adds and removes anchors.
 
     gradient, drawn: float32 [N, K], sums of gradients of the projected centres, and how often each offset was drawn.
     opacity, seen: float32 [N], sums of the opacities of an anchor's offsets, and how often each anchor was seen.
@@ -45,7 +45,7 @@ class Growth(Stage):
         changed: Callable[[], None],
         pixels: int,
     ) -> None:
-        """mask_start: logit of a new offset. changed: is called when anchors have come or gone.
+        """mask_start: logit of a new offset. changed: called after anchors were added or removed.
 
         pixels: of all photographs to learn from.
         """
@@ -55,7 +55,7 @@ class Growth(Stage):
         self.anchors_changed()
 
     def anchors_changed(self) -> None:
-        """Starts the statistics anew."""
+        """Resets the statistics."""
         n, device = self.scaffold.count, self.scaffold.device
         self.gradient, self.drawn = (torch.zeros((n, self.scaffold.columns.offsets), device=device) for _ in range(2))
         self.opacity, self.seen = (torch.zeros(n, device=device) for _ in range(2))

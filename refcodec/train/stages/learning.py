@@ -37,7 +37,7 @@ class Learning(Stage):
         self.anchors_changed()
 
     def anchors_changed(self) -> None:
-        """Makes room for the place of each anchor in a step, -1 if it has none. Only the CPU has use for it."""
+        """Allocates the place of each anchor in a step, -1 if it has none. Only the CPU uses it."""
         self._place = np.full(self.scaffold.count if self._compiled else 0, -1, np.int64)
 
     def descend(self, step: Step) -> None:

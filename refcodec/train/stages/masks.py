@@ -1,6 +1,7 @@
 """Masks of offsets (CAT-3DGS Pro): an offset is kept if its weighted share is above epsilon (docs/method.md).
 
-The share is the logistic function of its logit. The weight is how many views see its anchor, over the mean of all.
+The share is the logistic function of its logit. The weight is the number of views that see its anchor, over the mean of
+all.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from ..state import Saved
 class Masks(Stage):
     """Which offsets are kept, and the loss that drops them.
 
-    weight: float32 [N]. dropped: how many anchors were dropped as lost.
+    weight: float32 [N]. dropped: the number of anchors that were dropped as lost.
     """
 
     name = "masks"
@@ -36,7 +37,7 @@ class Masks(Stage):
         clock: Clock,
         changed: Callable[[], None],
     ) -> None:
-        """lambda_r: the weight of the rate. cameras: those of the training, in its units.
+        """lambda_r: the weight of the rate. cameras: those of training, in its units.
 
         changed: called after anchors were removed.
         """
@@ -52,7 +53,7 @@ class Masks(Stage):
         return self.settings.used and self.clock.mode(self.name) == "on"
 
     def anchors_changed(self) -> None:
-        """Counts the views anew."""
+        """Counts the views again."""
         scaffold = self.scaffold
         used = self.settings.used
         self.weight = scaffold.views(self.cameras) if used else torch.ones(scaffold.count, device=scaffold.device)
@@ -89,8 +90,8 @@ class Masks(Stage):
     def end(self) -> None:
         """Drops the anchors that are lost, once the rate counts.
 
-        A lost anchor has no kept offset. It is in no image and costs no bits, but time, and the gradient of shares that
-        low hardly ever brings one back. While averaging is on, all anchors stay.
+        A lost anchor has no kept offset. It is in no image and costs time but no bits, and the gradient of its low
+        shares rarely restores it. While averaging is on, all anchors stay.
         """
         late = self.clock.mode("rate") != "off" and self.clock.mode("averaging") == "off"
         if not (self.on and late) or self.clock.done % self.settings.drop_period:
@@ -117,7 +118,7 @@ class Masks(Stage):
         )
 
     def state(self) -> dict[str, Any]:
-        """The weights, and how many anchors were dropped."""
+        """The weights, and the number of dropped anchors."""
         return {"weight": self.weight, "dropped": self.dropped}
 
     def restore(self, state: Saved) -> None:

@@ -48,7 +48,7 @@ BLOCK = 8192
 class Rate(Stage):
     """L_rate, and the entropy model that it trains.
 
-    Once it has started there are the model, the frame (SPEC 7.5.1) or None if F_h has no inputs, base_step
+    After its start it has the model, the frame (SPEC 7.5.1) or None if F_h has no inputs, base_step
     (float32 [3]), the contexts of all anchors, and the optimiser.
     """
 
@@ -88,7 +88,7 @@ class Rate(Stage):
 
     @property
     def _has_inputs(self) -> bool:
-        """Whether F_h reads anything of an anchor's place."""
+        """Whether F_h has inputs from an anchor's position."""
         return len(self.hyperprior.input_units()) > 0
 
     @property
