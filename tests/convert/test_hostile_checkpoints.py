@@ -218,7 +218,7 @@ def test_a_point_cloud_with_holes(tmp_path: Path, capsys: Captured) -> None:
         os.truncate(file, 1 << 39)
     except OSError:
         pytest.skip("the file system has no files with holes")
-    refused(tmp_path, capsys, "1073741824 anchors, but at most 16777216")
+    refused(tmp_path, capsys, "1073741824 anchors, but at most 67108864")
 
 
 def test_a_module_that_holds_itself(tmp_path: Path) -> None:
