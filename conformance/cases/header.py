@@ -15,6 +15,7 @@ import numpy as np
 
 from refcodec.bitstream import codec
 from refcodec.bitstream.header import HEADER_LENGTH_MAX, PROLOGUE_BYTES, PositionGrid, RenderInfo
+from refcodec.bitstream.limits import MAIN
 
 from .book import Book
 from .checksums import Depth, layout
@@ -414,7 +415,7 @@ def _render_info(book: Book) -> None:
             requirements="R6.5-1 D9.3-1",
             flags="limit-off-by-one",
         )
-    for model, inputs, outputs in ((1, 0, 1), (2, 4, 3), (255, 8, 48)):
+    for model, inputs, outputs in ((2, 4, 3), (3, 0, 1), (255, 8, 48)):
         book.valid(
             f"render-model-{model}",
             f"render model {model}, with {inputs} view inputs and {outputs} colour outputs",
@@ -429,6 +430,22 @@ def _render_info(book: Book) -> None:
             requirements="R11.1-2 G6.5-1 D9.3-1",
             flags="limit-off-by-one render-model",
         )
+    book.valid(
+        "main-render-model-2",
+        "render model 2 in Main, without view inputs",
+        partial(
+            scene,
+            "render-model-main",
+            1,
+            replace(SMALLEST, view_inputs=0),
+            profile=MAIN,
+            chunk_size=256,
+            render=replace(RenderInfo(), render_model=2),
+        ),
+        features="render-info dimensions main",
+        requirements="R11.1-2 G6.5-1",
+        flags="limit-off-by-one render-model",
+    )
 
 
 def _position_grids(book: Book) -> None:
