@@ -2,7 +2,7 @@
  *
  *   decoder digest FILE           prints the digests of the canonical reconstruction (9.3)
  *   decoder decode FILE OUTPUT [PROBES]
- *                                 writes the bytes that the scene's digest is the SHA-256 of, and then the seven parts
+ *                                 writes the bytes that the scene's digest is the SHA-256 of, and then the parts
  *
  * It reads FILE from the first byte to the last, and holds one section or one chunk at a time. To be digested, FILE may
  * be a pipe. OUTPUT is written in a second pass, beside its place, and moved there when it is whole. So a run that fails
@@ -73,12 +73,18 @@ enum {
     SINE_LENGTH = 1024,
     STEP_LENGTH = 64,
     STEP_SHIFT = 12,
+    OUTPUT_BITS = 12,
+    SCALING_BITS = 16,
+    SCALING_BOUND = 27 << SCALING_BITS,
+    /* 6.5: a render_model */
+    STATIC = 1,
     ANCHORS_OF_A_BYTE = 16,
     /* 11.1 */
     FEATURES_MAX = 128,
     OFFSETS_MAX = 16,
     SLICES_MAX = 16,
     SLICE_WIDTH_MAX = 64,
+    COLOURS_MAX = 48,
     /* A, 5 */
     TABLES_LENGTH = 99840,
     PROLOGUE_LENGTH = 20,
@@ -377,7 +383,7 @@ static int64_t ISQRT(int64_t a)
     return (int64_t)root;
 }
 
-/* 2.4: a result of 2^53 or more in magnitude may be inexact, because no bound of 7.2 allows it */
+/* 2.4: a result of 2^53 or more in magnitude may be inexact, because no bound of 7.2 and no limit of 9.4 allows it */
 static int64_t ROUND_SCALED(uint32_t x, int e)
 {
     int64_t m;
@@ -801,10 +807,15 @@ static void DIMENSIONS(struct header *h, const struct bounds b[15])
         REFUSE(HEADER_DIMENSION, AT_HYPER_LAYERS);
     if (h->slice_width.count == 1 && h->carm_width.count)
         REFUSE(HEADER_DIMENSION, AT_CARM_LAYERS);
-    /* 6.5: render model 0 fixes these two. */
+    /* 6.5: the render models 0 and 1 restrict these two. */
     if (!h->render_model && h->view_inputs != 4)
         REFUSE(HEADER_DIMENSION, AT_VIEW_INPUTS);
     if (!h->render_model && h->colour_outputs != 3)
+        REFUSE(HEADER_DIMENSION, AT_COLOUR_OUTPUTS);
+    if (h->render_model == STATIC && h->view_inputs)
+        REFUSE(HEADER_DIMENSION, AT_VIEW_INPUTS);
+    if (h->render_model == STATIC && h->colour_outputs != 3 && h->colour_outputs != 12 && h->colour_outputs != 27 &&
+        h->colour_outputs != 48)
         REFUSE(HEADER_DIMENSION, AT_COLOUR_OUTPUTS);
 }
 
@@ -870,6 +881,8 @@ static uint64_t WORK(const struct header *h, const struct network *n)
 {
     uint64_t anchor = WEIGHT_COUNT(n, HYPER, SARM) + WEIGHT_COUNT(n, CARM_1, OPACITY) + 16 * (uint64_t)h->channels;
     uint64_t points = 5 * (uint64_t)h->plane_channels * h->plane_size * h->plane_size;
+    if (!h->view_inputs)
+        anchor += WEIGHT_COUNT(n, OPACITY, NETWORKS);
     return h->anchor_count * anchor + points * (WEIGHT_COUNT(n, SARM, CARM_1) + 16);
 }
 
@@ -898,8 +911,8 @@ static void HEADER(struct header *h, struct network *networks)
     static const struct bounds table[2][16] = {
         {{1, 10}, {0, 8}, {0, 10}, {1, 4}, {0, 2}, {1, 2}, {0, 2}, {0, 8}, {1, 48}, {2, 32}, {1, 64}, {1, 64}, {1, 16},
          {1, 64}, {1, 16}, {1, 65536}},
-        {{1, OFFSETS_MAX}, {0, 16}, {0, 16}, {1, SLICES_MAX}, {0, 2}, {1, 2}, {0, 2}, {0, 8}, {1, 48}, {2, 1024},
-         {1, 128}, {1, 128}, {1, 32}, {1, 128}, {1, SLICE_WIDTH_MAX}, {256, 16384}}};
+        {{1, OFFSETS_MAX}, {0, 16}, {0, 16}, {1, SLICES_MAX}, {0, 2}, {1, 2}, {0, 2}, {0, 8}, {1, COLOURS_MAX},
+         {2, 1024}, {1, 128}, {1, 128}, {1, 32}, {1, 128}, {1, SLICE_WIDTH_MAX}, {256, 16384}}};
     static const struct {
         uint32_t anchor_count, plane_size;
         uint64_t work;
@@ -1058,11 +1071,12 @@ static int DERIVE_ROW(const uint8_t *weights, uint32_t bias, struct layer *l, ui
     return 0;
 }
 
-/* 6.8: R6.8-4, for finite values. p is the section, whose values in mode 0 are at values_at of it. */
-static void DERIVE_NETWORKS(struct network *n, const uint8_t *values, struct piece p, uint64_t values_at)
+/* 6.8: R6.8-4 of the networks before `end`, for finite values. p is the section, whose values in mode 0 are at
+   values_at of it. */
+static void DERIVE_NETWORKS(struct network *n, int end, const uint8_t *values, struct piece p, uint64_t values_at)
 {
     uint64_t v = 0;
-    for (int i = 0; i < OPACITY; i++)
+    for (int i = 0; i < end; i++)
         for (uint32_t k = 0; k < n[i].layers; k++) {
             struct layer *l = &n[i].layer[k];
             uint64_t biases = v + 4 * (uint64_t)l->outputs * l->inputs;
@@ -1251,7 +1265,8 @@ static void END(const struct stream *s)
 
 /* ---------------------------------------------------------------- 9.3 the canonical reconstruction */
 
-enum { POSITIONS, MASKS, PLANES, FEATURES, SCALINGS, OFFSETS, WEIGHTS, PARTS, HEAD_LENGTH = 12 };
+/* SPLATS, the part splat, is of static scenes only. */
+enum { POSITIONS, MASKS, PLANES, FEATURES, SCALINGS, OFFSETS, WEIGHTS, SPLATS, PARTS, HEAD_LENGTH = 12 };
 
 struct part {
     struct sha256 digest;
@@ -1350,7 +1365,7 @@ struct scene {
     int32_t *parameters, *change, *symbols; /* outputs of F_h, outputs of CARM, D symbols, of each anchor */
     struct value *group;
     uint8_t *values; /* of one part */
-    uint8_t *step_index; /* three of each anchor, for probes */
+    uint8_t *step_index; /* three of each anchor */
     uint32_t step[3][STEP_LENGTH]; /* 9.2: the f32 of each kind and index */
 };
 
@@ -1548,7 +1563,8 @@ static void READ_WEIGHTS(struct scene *s, struct piece p, int mode)
         DECODE_WEIGHTS(s, p, values_at, values);
     } else
         CHECK_FINITE(p, values_at, count);
-    DERIVE_NETWORKS(s->networks, mode ? values : p.data + values_at, p, values_at);
+    DERIVE_NETWORKS(s->networks, s->h.render_model == STATIC ? NETWORKS : OPACITY,
+                    mode ? values : p.data + values_at, p, values_at);
     EMIT(&s->part[WEIGHTS], mode ? values : p.data + values_at, 4 * count);
     if (mode)
         FREE(values);
@@ -1843,12 +1859,16 @@ static void CHECK_BOUNDS(const struct scene *s, const struct chunk *c, uint64_t 
 }
 
 /* 9.1: origin + S P is below 2^62 + 2^56 in magnitude */
-static void WORLD(struct scene *s, uint64_t anchors)
+static uint32_t WORLD(const struct header *h, uint64_t axis, uint32_t bits)
 {
-    for (uint64_t i = 0; i < 3 * anchors; i++) {
-        int64_t world = s->h.origin[i % 3] + s->h.scale_mantissa * POSITION_INTEGER(s->position_bits[i]);
-        PUT_U32(s->values + 4 * i, ROUND_F32(world, s->h.scale_exponent - 24));
-    }
+    return ROUND_F32(h->origin[axis] + h->scale_mantissa * POSITION_INTEGER(bits), h->scale_exponent - 24);
+}
+
+/* 9.1, 9.3 */
+static void RECONSTRUCT_POSITIONS(struct scene *s, uint64_t anchors)
+{
+    for (uint64_t i = 0; i < 3 * anchors; i++)
+        PUT_U32(s->values + 4 * i, WORLD(&s->h, i % 3, s->position_bits[i]));
     EMIT(&s->part[POSITIONS], s->values, 12 * anchors);
 }
 
@@ -2075,6 +2095,85 @@ static void RECONSTRUCT(struct scene *s, uint64_t anchors, int a, uint32_t first
     EMIT(&s->part[FEATURES + a], s->values, 4 * anchors * width);
 }
 
+/* ---------------------------------------------------------------- 9.4 static scenes */
+
+/* 9.4: exp(t / 2^SCALING_BITS) is nearly m * 2^n, for |t| <= SCALING_BOUND. y is below 2^52 in magnitude, a product
+   below 2^61. */
+static int64_t EXPONENTIAL(int64_t t, int *n)
+{
+    static const int64_t EXP2[7] = {1073741824, 744260848, 257945537, 59571654, 10398739, 1330132, 234908};
+    const int64_t LOG2_E = 1549082005;
+    int64_t y = t * LOG2_E, whole = RSHIFT(y, 46), fraction = (y - whole * (INT64_C(1) << 46)) >> 16, m = EXP2[6];
+    for (int i = 5; i >= 0; i--)
+        m = EXP2[i] + (m * fraction >> 30);
+    *n = (int)whole - 30;
+    return m;
+}
+
+/* 9.4: for two finite f32 whose sum is normal or zero. Of two with exponents so far apart the greater is normal, and
+   the other is below a quarter of its unit, so it has no effect. Otherwise the sum is below 2^57. */
+static uint32_t ADD_F32(uint32_t a, uint32_t b)
+{
+    int64_t m, n;
+    int e, d;
+    SPLIT_F32(a, &m, &e);
+    SPLIT_F32(b, &n, &d);
+    if (e - d > 32)
+        return a;
+    if (d - e > 32)
+        return b;
+    return e > d ? ROUND_F32(m * (INT64_C(1) << (e - d)) + n, d) : ROUND_F32(m + n * (INT64_C(1) << (d - e)), e);
+}
+
+/* 9.2: the value of a channel of kind a of anchor n of the chunk */
+static uint32_t CHANNEL(const struct scene *s, uint64_t n, int a, uint32_t channel)
+{
+    return VALUE(s->symbols[n * s->h.channels + channel], s->step[a][s->step_index[3 * n + (uint64_t)a]]);
+}
+
+/* 9.3, 9.4: the Gaussians of anchor n of the chunk. By the bounds of 6.2, 6.4 and 9.4 all numbers are normal or zero: a
+   product of an offset is 0 or from 2^-103 to 2^126 in magnitude, and a position is a multiple of 2^-84 below 2^99. */
+static void SPLAT(struct scene *s, uint64_t n)
+{
+    const struct header *h = &s->h;
+    const uint8_t *mask = s->masks + n * h->offset_count;
+    int32_t inputs[FEATURES_MAX], opacity[OFFSETS_MAX], covariance[7 * OFFSETS_MAX], colour[COLOURS_MAX * OFFSETS_MAX];
+    uint8_t numbers[4 * (11 + COLOURS_MAX) * OFFSETS_MAX], *out = numbers;
+    int64_t scaling[6], m[3];
+    int e[3];
+    for (uint32_t i = 0; i < h->features; i++)
+        inputs[i] = ACTIVATION(ROUND_SCALED(CHANNEL(s, n, 0, i), 0));
+    NETWORK(&s->networks[OPACITY], inputs, opacity);
+    NETWORK(&s->networks[COVARIANCE], inputs, covariance);
+    NETWORK(&s->networks[COLOUR], inputs, colour);
+    for (uint32_t i = 0; i < 6; i++)
+        scaling[i] =
+            CLAMP(ROUND_SCALED(CHANNEL(s, n, 1, h->features + i), SCALING_BITS), -SCALING_BOUND, SCALING_BOUND);
+    for (int i = 0; i < 3; i++)
+        m[i] = EXPONENTIAL(scaling[i], &e[i]);
+    for (uint32_t k = 0; k < h->offset_count; k++) {
+        const int32_t *c = covariance + 7 * k;
+        int turned = c[3] || c[4] || c[5] || c[6];
+        if (!mask[k])
+            continue;
+        for (uint32_t i = 0; i < 3; i++, out += 4) {
+            int64_t own;
+            int d;
+            SPLIT_F32(CHANNEL(s, n, 2, h->features + 6 + 3 * k + i), &own, &d);
+            PUT_U32(out, ADD_F32(WORLD(h, i, s->position_bits[3 * n + i]), ROUND_F32(own * m[i], d + e[i])));
+        }
+        for (int i = 0; i < 3; i++, out += 4)
+            PUT_U32(out, ROUND_F32(scaling[3 + i] + c[i] * (1 << (SCALING_BITS - OUTPUT_BITS)), -SCALING_BITS));
+        for (int i = 3; i < 7; i++, out += 4)
+            PUT_U32(out, ROUND_F32(!turned && i == 3 ? 1 << OUTPUT_BITS : c[i], -OUTPUT_BITS));
+        PUT_U32(out, ROUND_F32(opacity[k], -OUTPUT_BITS));
+        out += 4;
+        for (uint32_t i = 0; i < h->colour_outputs; i++, out += 4)
+            PUT_U32(out, ROUND_F32(colour[h->colour_outputs * k + i], -OUTPUT_BITS));
+    }
+    EMIT(&s->part[SPLATS], numbers, (uint64_t)(out - numbers));
+}
+
 /* ---------------------------------------------------------------- 5.14, 6.11 chunks */
 
 /* 5.14, 6.11, 10.1: a chunk as a whole */
@@ -2118,11 +2217,13 @@ static void DECODE_CHUNK(struct scene *s, const struct chunk *c, struct piece p)
     if (kept != c->kept)
         REFUSE(CHUNK_KEPT, p.at);
     DECODE_ATTRIBUTES(s, part[2], n);
-    WORLD(s, n);
+    RECONSTRUCT_POSITIONS(s, n);
     EMIT(&s->part[MASKS], s->masks, n * h->offset_count);
     RECONSTRUCT(s, n, 0, 0, h->features);
     RECONSTRUCT(s, n, 1, h->features, 6);
     RECONSTRUCT(s, n, 2, h->features + 6, 3u * h->offset_count);
+    for (uint64_t i = 0; h->render_model == STATIC && i < n; i++)
+        SPLAT(s, i);
 }
 
 /* 5.14, 10.1, 13.1: DATA. What it needs is for the largest chunk. */
@@ -2163,18 +2264,22 @@ static void CHUNKS(struct scene *s, const struct entry *e)
 
 /* ---------------------------------------------------------------- 10.1 the file */
 
-/* 9.3: where each part begins in OUTPUT */
+/* 9.3: the number of the scene's parts */
+static int PART_COUNT(const struct header *h) { return h->render_model == STATIC ? PARTS : SPLATS; }
+
+/* 9.3: where each part begins in OUTPUT. The last has any length. */
 static void PARTS_BEGIN(struct scene *s)
 {
     const struct header *h = &s->h;
-    uint64_t n = h->anchor_count, at = HEAD_LENGTH + h->drawn_length + 32 * PARTS;
+    uint64_t n = h->anchor_count, at = HEAD_LENGTH + h->drawn_length + 32 * (uint64_t)PART_COUNT(h);
     const uint64_t length[PARTS] = {12 * n,
                                     n * h->offset_count,
                                     10 * (uint64_t)h->plane_channels * h->plane_size * h->plane_size,
                                     4 * n * h->features,
                                     24 * n,
                                     12 * n * h->offset_count,
-                                    4 * WEIGHT_COUNT(s->networks, 0, NETWORKS)};
+                                    4 * WEIGHT_COUNT(s->networks, 0, NETWORKS),
+                                    0};
     for (int i = 0; i < PARTS; i++) {
         SHA_START(&s->part[i].digest);
         s->part[i].at = at;
@@ -2185,22 +2290,24 @@ static void PARTS_BEGIN(struct scene *s)
 /* 9.3: writes what the scene's digest is of to OUTPUT, if there is one; prints all digests, if they are wanted */
 static void PARTS_END(struct scene *s, int print)
 {
-    static const char names[PARTS][10] = {"positions", "masks", "planes", "features", "scalings", "offsets", "weights"};
+    static const char names[PARTS][10] = {"positions", "masks",   "planes",  "features",
+                                          "scalings",  "offsets", "weights", "splat"};
     uint8_t head[HEAD_LENGTH], digests[PARTS][32], digest[32];
     struct part whole = {.at = 0};
+    int parts = PART_COUNT(&s->h);
     memcpy(head, "C3GSREC1", 8);
     PUT_U32(head + 8, s->h.anchor_count);
-    for (int i = 0; i < PARTS; i++)
+    for (int i = 0; i < parts; i++)
         SHA_END(&s->part[i].digest, digests[i]);
     SHA_START(&whole.digest);
     EMIT(&whole, head, sizeof head);
     EMIT(&whole, s->h.drawn, s->h.drawn_length);
-    EMIT(&whole, *digests, sizeof digests);
+    EMIT(&whole, *digests, 32 * (uint64_t)parts);
     SHA_END(&whole.digest, digest);
     if (!print)
         return;
     printf("whole %s\n", HEX(digest));
-    for (int i = 0; i < PARTS; i++)
+    for (int i = 0; i < parts; i++)
         printf("%s %s\n", names[i], HEX(digests[i]));
 }
 

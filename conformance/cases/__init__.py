@@ -13,6 +13,7 @@ Modules for other subjects:
 
     order_header, order_sections   two faults in one file (10.1)
     order_weights                  two faults of the weights
+    static                         static scenes: plain Gaussians (9.4)
     resource                       small files that require much memory or time (13.1)
     cameras                        Gaussians for cameras (14)
     whole                          trained and unusual scenes
@@ -70,6 +71,7 @@ def chapters() -> tuple[ModuleType, ...]:
         positions,
         reconstruction,
         resource,
+        static,
         weights_forms,
         weights_packed,
         weights_raw,
@@ -104,6 +106,7 @@ def chapters() -> tuple[ModuleType, ...]:
         order_weights,
         resource,
         whole,
+        static,
         cameras,
     )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, partial
 from typing import Any
@@ -10,12 +11,15 @@ from typing import Any
 import numpy as np
 
 from refcodec.bitstream import codec
+from refcodec.bitstream.dimensions import STATIC
 from refcodec.bitstream.header import PositionGrid
+from refcodec.bitstream.reconstruction import gaussians as splat_of
 from refcodec.bitstream.reconstruction import reconstruct
 from refcodec.render.camera import read_camera
 from refcodec.render.gaussians import RENDERING
 
 from .. import spec_decoder
+from . import static
 from .book import Book, Seen
 from .numbers import Numbers
 from .scenes import TINY_DIMENSIONS, dyadic, lattice, scene, with_symbols
@@ -35,6 +39,11 @@ def expected(data: bytes, camera: dict[str, Any]) -> bytes:
     """Returns the list of Gaussians of a file for a camera, as JSON."""
     scene = codec.parse(data).scene
     values, centre = reconstruct(scene), read_camera(json.dumps(camera)).centre.tolist()
+    if scene.render.render_model == STATIC:
+        places = np.argwhere(scene.masks).tolist()
+        numbers = splat_of(scene, values).astype(np.float64).tolist()
+        seen = [_text()["STATIC_GAUSSIAN"](each, centre) for each in numbers]
+        return _document([_row(n, k, each) for (n, k), each in zip(places, seen, strict=True)])
     networks = {name: [(w.tolist(), b.tolist()) for w, b in scene.networks[name]] for name in RENDERING}
     found = []
     for n in range(scene.anchor_count):
@@ -47,19 +56,20 @@ def expected(data: bytes, camera: dict[str, Any]) -> bytes:
         for k in np.flatnonzero(scene.masks[n]).tolist():
             # One offset at a time, so that the offset of each Gaussian is known.
             alone = [kept and i == k for i, kept in enumerate(mask)]
-            for mean, lengths, quaternion, opacity, colour in _text()["GAUSSIANS"](
-                networks, position, feature, scaling, offsets, alone, centre, scene.render.distance_unit
-            ):
-                row = {"anchor": n, "offset": k}
-                kinds = {
-                    "mean": mean,
-                    "lengths": lengths,
-                    "quaternion": quaternion,
-                    "opacity": opacity,
-                    "colour": colour,
-                }
-                found.append({**row, **{kind: _rounded(value) for kind, value in kinds.items()}})
-    return (json.dumps({"gaussians": found}, separators=(",", ":")) + "\n").encode()
+            unit = scene.render.distance_unit
+            seen = _text()["GAUSSIANS"](networks, position, feature, scaling, offsets, alone, centre, unit)
+            found += [_row(n, k, gaussian) for gaussian in seen]
+    return _document(found)
+
+
+def _row(anchor: int, offset: int, gaussian: tuple[Any, ...]) -> dict[str, Any]:
+    kinds = ("mean", "lengths", "quaternion", "opacity", "colour")
+    values = {kind: _rounded(value) for kind, value in zip(kinds, gaussian, strict=True)}
+    return {"anchor": anchor, "offset": offset, **values}
+
+
+def _document(rows: list[dict[str, Any]]) -> bytes:
+    return (json.dumps({"gaussians": rows}, separators=(",", ":")) + "\n").encode()
 
 
 def _rounded(value: Any) -> Any:
@@ -104,15 +114,21 @@ def add(book: Book) -> None:
         book.add(
             f"valid-camera-{name}",
             text,
-            partial(_seen, camera),
+            partial(_seen, "valid-cameras", _file, camera),
             features="cameras",
-            requirements="G14.3-1",
             flags="direction-sign",
+        )
+        book.add(
+            f"valid-static-camera-{name}",
+            f"a static scene, and {text}",
+            partial(_seen, "valid-static-degree-3", partial(static.of_degree, 3), camera),
+            features="cameras static",
+            flags="direction-sign harmonics",
         )
 
 
-def _seen(camera: dict[str, Any]) -> Seen:
-    return Seen("valid-cameras", _file(), camera)
+def _seen(name: str, make: Callable[[], bytes], camera: dict[str, Any]) -> Seen:
+    return Seen(name, make(), camera)
 
 
 @cache

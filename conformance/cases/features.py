@@ -33,6 +33,7 @@ FEATURES = {
     "reconstruction": "values in f32, rounded once (9)",
     "order": "two faults, of which the first in the order of checks counts (10.1)",
     "many": "a file that asks for much, or says that it holds much (13.1)",
+    "static": "static scenes (9.4, 14.6)",
     "trained": "a scene that was learnt from photographs",
     "unusual": "choices that the reference encoder never makes",
     "cameras": "the Gaussians that a camera sees (14.3)",

@@ -23,6 +23,8 @@ FLAGS = {
     "work-bound": "counts the work of a file in another way, or does not bound it",
     "level-not-minimal": "accepts a level that is higher than it has to be",
     "header-slack": "does not demand that the fields fill the header",
+    "static-part": "leaves the Gaussians of a static scene out of a digest, or computes them in floating point",
+    "harmonics": "takes the harmonics in another order or for another direction",
     "render-model": "refuses to decode a scene that it cannot draw",
     "type-letters": "takes types with other bytes than letters",
     "critical-skipped": "skips a critical section that it does not know",

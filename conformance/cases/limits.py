@@ -179,7 +179,7 @@ def header_of(d: Dimensions, level: int, anchors: int, size: int = 16384) -> byt
         lanes=Lanes(),
         base_step=(1.0, 1.0, 1.0),
         grid=PositionGrid(),
-        render=RenderInfo(),
+        render=RenderInfo(render_model=0 if d.view_inputs else 2),
         dimensions=d,
     )
     out = bytearray(emit_file(header, sections))
@@ -391,6 +391,11 @@ def _work(book: Book) -> None:
     title = "as many anchors as the work of level 1 allows beside that of the planes, and nothing behind the header"
     make = header_alone.of(plain, d, 1, most)
     add("malformed-work-of-planes", title, make, flags="level-not-minimal work-bound")
+    without = replace(_WORK_16, view_inputs=0)
+    title, anchors = "rendering networks without view inputs, which count as work", PROFILES[MAIN].levels[1].anchors
+    add("invalid-work-of-rendering", title, too_much_work.of(plain, without, 1, anchors), flags="work-bound")
+    title, make = f"{title}, and nothing behind the header", header_alone.of(plain, without, 2, anchors)
+    add("malformed-work-of-rendering", title, make, flags="level-not-minimal work-bound")
     title, make = "one anchor more than that", too_much_work.of(plain, d, 1, most + 1)
     add("invalid-work-of-planes", title, make, flags="work-bound")
     for number, size in ((2, 256), (4, 512), (5, 1024)):

@@ -26,6 +26,7 @@ from refcodec.bitstream.networks import BoundError, derive_layer
 from refcodec.bitstream.planes import PLANE_SYMBOL_MAX
 from refcodec.bitstream.positions import CELL_INDEX, EMPTY_MODELS, HALVES, POSITION_MODELS, PositionModel, chunk_codes
 from refcodec.bitstream.scene import Ancillary, Scene
+from refcodec.bitstream.splat import derive_rendering
 from refcodec.encoder.positions import frequencies, morton_order, position_model
 from refcodec.encoder.weights import exact_networks, quantise_rendering, weight_scales
 
@@ -40,6 +41,8 @@ def _within(bounds: tuple[int, int], most: int) -> st.SearchStrategy[int]:
 
 # SPEC 6.5: view_inputs and colour_outputs of render model 0.
 OF_MODEL_0 = 4, 3
+# Those of static scenes.
+OF_STATIC = [(0, outputs) for outputs in (3, 12, 27, 48)]
 
 
 @st.composite
@@ -63,7 +66,10 @@ def dimensions(draw: st.DrawFn) -> Dimensions:
         widths(p.sarm_layers, p.sarm_width) if channels else (),
         widths(p.carm_layers, p.carm_width) if len(slices) > 1 else (),
         draw(_within(p.render_width, 3)),
-        *draw(st.just(OF_MODEL_0) | st.tuples(_within(p.view_inputs, 4), _within(p.colour_outputs, 12))),
+        *draw(
+            st.sampled_from([OF_MODEL_0, OF_MODEL_0, *OF_STATIC])
+            | st.tuples(_within(p.view_inputs, 4), _within(p.colour_outputs, 12))
+        ),
     )
 
 
@@ -72,8 +78,17 @@ def grids() -> st.SearchStrategy[PositionGrid]:
     return st.builds(PositionGrid, st.tuples(origin, origin, origin), st.integers(1, 65535), st.integers(-60, 60))
 
 
-def render_infos(d: Dimensions) -> st.SearchStrategy[RenderInfo]:
-    """Render information of a render model that allows the dimensions."""
+def render_infos(d: Dimensions, bounded: bool) -> st.SearchStrategy[RenderInfo]:
+    """Render information of a render model that allows the dimensions.
+
+    bounded: whether the rendering networks have exponents, as those of a static scene.
+    """
+    sizes, others = (d.view_inputs, d.colour_outputs), st.integers(2, 255)
+    model = others
+    if sizes == OF_MODEL_0:
+        model = st.just(0) | others
+    if sizes in OF_STATIC and bounded:
+        model = st.just(1) | others
     positive = st.floats(2.0**-100, 2.0**100, width=32)
     byte = st.integers(0, 255)
     return st.builds(
@@ -86,8 +101,17 @@ def render_infos(d: Dimensions) -> st.SearchStrategy[RenderInfo]:
         st.floats(0, 2.0**20, width=32),
         byte,
         byte,
-        byte if (d.view_inputs, d.colour_outputs) == OF_MODEL_0 else st.integers(1, 255),
+        model,
     )
+
+
+def _bounded(found: dict) -> bool:
+    """Whether the rendering networks have exponents (SPEC 7.2)."""
+    try:
+        derive_rendering(found)
+    except BoundError:
+        return False
+    return True
 
 
 @st.composite
@@ -279,7 +303,7 @@ def scenes(draw: st.DrawFn, max_anchors: int = 12) -> Scene:
         lanes=Lanes(draw(lane), draw(lane), draw(lane)),
         base_step=draw(st.tuples(step, step, step)),
         grid=draw(grids()),
-        render=draw(render_infos(d)),
+        render=draw(render_infos(d, _bounded(chosen))),
         frame=draw(frames()) if d.has_frame else None,
         plane_shift=draw(st.integers(0, weights.PLANE_SHIFT_MAX)) if d.plane_channels else 0,
         carm_shift=draw(hnp.arrays(np.uint8, d.carm_inputs, elements=st.integers(0, weights.CARM_SHIFT_MAX))),

@@ -5,8 +5,6 @@ from __future__ import annotations
 _ONE_ITEM = "A field that is not a list is a list of one item, whose first and last item are the same."
 _SYMMETRIC = "The minimum or maximum of two integers does not depend on their order."
 _UNREAD_SIGN = "A value of 128 or more is refused with the same error, as negative as it is as positive."
-# Bounds of all profiles are below 128.
-_REFUSED_EITHER_WAY = "A number above 127 and the negative one with the same bits are refused by the same rule."
 
 PROOFS: dict[str, str] = {
     "BOUNDS-constant-024c42db": "The lower bound of an unsigned field may be -1 instead of 0.",
@@ -23,16 +21,18 @@ PROOFS: dict[str, str] = {
         "The phase modulo 2^17 differs from the phase modulo 2^16 by 0 or 2^16, thus the turn by 0 or SINE_LENGTH. "
         "It is used modulo SINE_LENGTH."
     ),
+    "EXPONENTIAL-constant-0048a028": "The lowest bit of y is shifted out.",
     "PARSE_HEADER-arguments-0904a40e": "Either takes 20 bytes. The value is not read: an entry is parsed from data.",
     "FIRST_FIELDS-constant-04a16a56": _UNREAD_SIGN,
-    "FIRST_FIELDS-constant-07a8ca10": _REFUSED_EITHER_WAY,
-    "FIRST_FIELDS-constant-09ef8081": _REFUSED_EITHER_WAY,
+    "FIRST_FIELDS-constant-07a8ca10": _UNREAD_SIGN,
+    "FIRST_FIELDS-constant-09ef8081": _UNREAD_SIGN,
     "RENDERING-arguments-c66d6e6e": (
         "The names of these networks tell them from the integer networks, and their order in the file is that of the "
         "tuple. No other use depends on which name comes first."
     ),
     "SHAPES-constant-02fb110b": _ONE_ITEM,
     "WORK-constant-0b6c273d": _ONE_ITEM,
+    "CHECK_HEADER-constant-0ce1f44d": _ONE_ITEM,
     "CHECK_DIRECTORY-constant-0933885a": _ONE_ITEM,
     "PARSE_PLANES-constant-0457e909": _ONE_ITEM,
     "DECODE_FILE-constant-02b2e566": _ONE_ITEM,

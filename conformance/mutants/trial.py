@@ -76,7 +76,7 @@ def decode(names: Names, data: bytes) -> Outcome:
     if error:
         return Outcome("rejected", code=int(names["ERRORS"][error[0]][0]), offset=int(error[1]))
     assert result is not None
-    digests = dict(zip(("whole", *PARTS), (result["scene"], *result["parts"]), strict=True))
+    digests = dict(zip(("whole", *PARTS), (result["scene"], *result["parts"]), strict=False))
     return Outcome("accepted", digests={name: bytes(digest).hex() for name, digest in digests.items()})
 
 

@@ -43,7 +43,7 @@ _TEXTS = _list(_TEXT)
 _SHA256 = {"type": "string", "pattern": "^[0-9a-f]{64}$"}
 _GROUP = {"type": "string", "pattern": "^(any|rendering|(tiny|main) [0-9]+)$"}
 _COVERAGE = _map(_object(vectors=_COUNT, run=_COUNT, right=_COUNT))
-_PARTS = _enum("head", "positions", "masks", "planes", "features", "scalings", "offsets", "weights", "digests")
+_PARTS = _enum("head", "positions", "masks", "planes", "features", "scalings", "offsets", "weights", "splat", "digests")
 _LEVEL = _or_null(_COUNT)
 
 # The description that a decoder gives of itself.

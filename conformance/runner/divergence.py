@@ -13,8 +13,9 @@ from refcodec.bitstream import codec, syntax
 from refcodec.bitstream.attributes import SCALINGS
 from refcodec.bitstream.entropy import TraceRow
 from refcodec.bitstream.planes import PLANE_NAMES
-from refcodec.bitstream.reconstruction import PARTS, canonical_head, canonical_parts, digested
+from refcodec.bitstream.reconstruction import canonical_head, canonical_parts, digested, part_names
 from refcodec.bitstream.scene import Scene
+from refcodec.bitstream.splat import HARMONICS
 from refcodec.files.text import printable
 from refcodec.inspect import dump
 
@@ -30,6 +31,7 @@ PART_CLAUSES = {
     "scalings": "9.2, 7.8",
     "offsets": "9.2, 7.8",
     "weights": "5.8, 7.13",
+    "splat": "9.4",
 }
 SYMBOL_CLAUSES = {
     "weights": "7.13",
@@ -78,6 +80,7 @@ def _types(scene: Scene) -> dict[str, tuple[str, tuple[int, ...]]]:
         "scalings": ("<f4", (n, SCALINGS)),
         "offsets": ("<f4", (n, d.offset_count, 3)),
         "weights": ("<f4", (-1,)),
+        "splat": ("<f4", (int(scene.masks.sum()), HARMONICS.start + d.colour_outputs)),
     }
 
 
@@ -95,6 +98,9 @@ def _element(scene: Scene, part: str, at: tuple[int, ...]) -> str:
                 if left < out:
                     return f"{name}, layer {layer}, bias {left}"
                 left -= out
+    if part == "splat":
+        anchor, offset = (int(place[at[0]]) for place in np.nonzero(scene.masks))
+        return f"anchor {anchor}, offset {offset}, number {at[1]}"
     chunk = f"anchor {at[0]} (chunk {next(i for i, c in enumerate(scene.chunks) if at[0] in c)})"
     if part == "positions":
         return f"{chunk}, {'xyz'[at[1]]}"
@@ -125,7 +131,7 @@ def _compare_part(scene: Scene, part: str, right: bytes, found: bytes, start: in
     if part == "digests":
         number = next(i for i, (a, b) in enumerate(zip(right, found, strict=True)) if a != b) // 32
         values = [data[32 * number : 32 * number + 32].hex() for data in (right, found)]
-        element, place = f"that of the {PARTS[number]}", start + 32 * number
+        element, place = f"that of the {part_names(scene.render.render_model)[number]}", start + 32 * number
         return Divergence(part, element, values[0], values[1], place, "the parts are right")
     kind, shape = _types(scene)[part]
     a, b = (np.frombuffer(data, kind).reshape(shape) for data in (right, found))

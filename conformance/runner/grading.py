@@ -17,8 +17,9 @@ import construct as cs
 
 from refcodec import statuses
 from refcodec.bitstream import syntax
+from refcodec.bitstream.dimensions import dimensions_of, weight_count
 from refcodec.bitstream.errors import REGISTRY
-from refcodec.bitstream.reconstruction import DIGEST_MAGIC, PARTS
+from refcodec.bitstream.reconstruction import DIGEST_MAGIC, part_names
 from refcodec.files.documents import DocumentError, parse_json
 
 from ..manifest import Accepted, GaussiansOf, Manifest, ManifestError, Rejected, Vector
@@ -124,25 +125,26 @@ def read_output(file: BinaryIO) -> Output:
     the list and the parts disagree, the digest is the SHA-256 of a zero and the output, which no scene has.
     """
     start = file.read(_DIGESTED_MAX)
-    at = len(DIGEST_MAGIC) + 4
+    at, names = len(DIGEST_MAGIC) + 4, part_names(0)
     try:
-        at += syntax.parse("RenderInfo", start, at)[1]
+        render, size = syntax.parse("RenderInfo", start, at)
+        at, names = at + size, part_names(render.render_model)
         d, size = syntax.parse("Dimensions", start, at)
     except cs.ConstructError:
         size = len(start)
-    head, listed = start[: at + size], start[: at + size + 32 * len(PARTS)]
+    head, listed = start[: at + size], start[: at + size + 32 * len(names)]
     whole = hashlib.sha256(b"\0" + listed)
     parts = {"head": hashlib.sha256(head).hexdigest()}
-    if len(listed) < at + size + 32 * len(PARTS):
+    if len(listed) < at + size + 32 * len(names):
         return Output(whole.hexdigest(), parts)
     file.seek(len(listed))
     n = int.from_bytes(start[len(DIGEST_MAGIC) :][:4], "little")
     k, f, ch, b = d.offset_count, sum(d.slice_width), d.plane_channels, d.plane_size
-    sizes = [12 * n, n * k, 2 * 5 * ch * b * b, 4 * n * f, 24 * n, 12 * n * k]
+    sizes = [12 * n, n * k, 2 * 5 * ch * b * b, 4 * n * f, 24 * n, 12 * n * k, 4 * weight_count(dimensions_of(d))]
     found = head
-    for number, name in enumerate(PARTS):
-        # The weights are the last part and have no stated size.
-        left = sizes[number] if number < len(sizes) else None
+    for number, name in enumerate(names):
+        # The last part has no stated size.
+        left = sizes[number] if number < len(names) - 1 else None
         digest = hashlib.sha256()
         while block := file.read(_BLOCK if left is None else min(_BLOCK, left)):
             digest.update(block)

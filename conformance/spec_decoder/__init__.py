@@ -15,8 +15,8 @@ from .errors import C3GSError
 
 __all__ = ["C3GSError", "Decoded", "decode", "names", "verdict"]
 
-# SPEC 9.3: the parts of the canonical reconstruction, in their order
-PARTS = ("positions", "masks", "planes", "features", "scalings", "offsets", "weights")
+# SPEC 9.3: the parts of the canonical reconstruction, in their order; only static scenes have the last one
+PARTS = ("positions", "masks", "planes", "features", "scalings", "offsets", "weights", "splat")
 Names = dict[str, Any]
 
 
@@ -42,12 +42,12 @@ def decode(data: bytes) -> Decoded:
     """Decodes a file. Raises C3GSError if it is refused."""
     support.HASHED.clear()
     try:
-        blocks.DECODE_FILE(list(data))
+        found = blocks.DECODE_FILE(list(data))
     except blocks.Refused as refused:
         raise C3GSError(*refused.args) from None
-    *parts, scene = support.HASHED
+    *parts, scene = list(support.HASHED)[-len(found["parts"]) - 1 :]
     digests = {"whole": hashlib.sha256(scene).hexdigest()}
-    digests |= {name: hashlib.sha256(part).hexdigest() for name, part in zip(PARTS, parts, strict=True)}
+    digests |= {name: hashlib.sha256(part).hexdigest() for name, part in zip(PARTS, parts, strict=False)}
     return Decoded(digests, scene + b"".join(parts))
 
 
@@ -68,7 +68,7 @@ def names() -> Names:
 def verdict(space: Names, data: bytes) -> tuple[Names | None, tuple[str, int] | None]:
     """Decodes a file. Returns (what DECODE_FILE returns, None), or (None, (name, offset) of the error).
 
-    space: what `names` returns. The digests are lists of bytes: of the seven parts, of the scene, and of each chunk.
+    space: what `names` returns. The digests are lists of bytes: of the parts, of the scene, and of each chunk.
     """
     try:
         return space["DECODE_FILE"](list(data)), None

@@ -56,6 +56,10 @@ FRACTIONS = 16
 SINE_LENGTH = 1024
 STEP_LENGTH = 64
 STEP_SHIFT = 12
+OUTPUT_BITS = 12
+SCALING_BITS = 16
+SCALING_BOUND = 27 * 2**16
+LOG2_E = 1549082005
 
 # SPEC 10.3
 ERRORS = {
@@ -721,6 +725,51 @@ def VALUE(symbol, step):
     return ROUND_F32(symbol * m, e)
 
 
+EXP2 = [1073741824, 744260848, 257945537, 59571654, 10398739, 1330132, 234908]
+
+
+# SPEC 9.4
+def EXPONENTIAL(t):
+    """(m, n): exp(t / 2^SCALING_BITS) is nearly m * 2^n, with m from 2^30 to 2^31 - 1."""
+    y = t * LOG2_E
+    fraction = (y & ((1 << 46) - 1)) >> 16
+    m = EXP2[6]
+    for i in range(5, -1, -1):
+        m = EXP2[i] + (m * fraction >> 30)
+    return m, (y >> 46) - 30
+
+
+# SPEC 9.4
+def ADD_F32(a, b):
+    """The f32 nearest to the sum of two finite f32."""
+    (m, e), (n, d) = SIGNIFICAND(a), SIGNIFICAND(b)
+    low = min(e, d)
+    return ROUND_F32((m << (e - low)) + (n << (d - low)), low)
+
+
+# SPEC 9.4
+def SPLAT(networks, position, feature, scaling, offsets, mask):
+    """The Gaussians of one anchor, as f32 one after the other. networks: the rows of each, by name."""
+    inputs = [ACTIVATION(ROUND_SCALED(x, 0)) for x in feature]
+    opacity, covariance, colour = [NETWORK(networks[name], inputs) for name in RENDERING]
+    s = [CLAMP(ROUND_SCALED(x, SCALING_BITS), -SCALING_BOUND, SCALING_BOUND) for x in scaling]
+    harmonics, found = len(colour) // len(mask), []
+    for k, kept in enumerate(mask):
+        if kept:
+            for i in range(3):
+                (m, e), (own, d) = EXPONENTIAL(s[i]), SIGNIFICAND(offsets[3 * k + i])
+                found.append(ADD_F32(position[i], ROUND_F32(own * m, d + e)))
+            for i in range(3):
+                c = covariance[7 * k + i] << (SCALING_BITS - OUTPUT_BITS)
+                found.append(ROUND_F32(s[3 + i] + c, -SCALING_BITS))
+            quaternion = covariance[7 * k + 3 : 7 * k + 7]
+            if not any(quaternion):
+                quaternion = [1 << OUTPUT_BITS, 0, 0, 0]
+            for x in quaternion + [opacity[k]] + colour[harmonics * k : harmonics * (k + 1)]:
+                found.append(ROUND_F32(x, -OUTPUT_BITS))
+    return found
+
+
 # SPEC 14.3
 def RENDER_NETWORK(layers, values):
     """layers: (rows, biases) of each."""
@@ -813,6 +862,41 @@ def PIXEL(u, v, drawn, background, alpha_max):
         out = [o + left * alpha * x for o, x in zip(out, colour)]
         left *= 1 - alpha
     return [o + left * g for o, g in zip(out, background)]
+
+
+# SPEC 14.6
+def HARMONICS(direction, count):
+    x, y, z = direction
+    values = [
+        0.28209479177387814,
+        -0.4886025119029199 * y,
+        0.4886025119029199 * z,
+        -0.4886025119029199 * x,
+        1.0925484305920792 * x * y,
+        -1.0925484305920792 * y * z,
+        0.31539156525252005 * (2 * z * z - x * x - y * y),
+        -1.0925484305920792 * x * z,
+        0.5462742152960396 * (x * x - y * y),
+        -0.5900435899266435 * y * (3 * x * x - y * y),
+        2.890611442640554 * x * y * z,
+        -0.4570457994644658 * y * (4 * z * z - x * x - y * y),
+        0.3731763325901154 * z * (2 * z * z - 3 * x * x - 3 * y * y),
+        -0.4570457994644658 * x * (4 * z * z - x * x - y * y),
+        1.445305721320277 * z * (x * x - y * y),
+        -0.5900435899266435 * x * (x * x - 3 * y * y),
+    ]
+    return values[:count]
+
+
+# SPEC 14.6
+def STATIC_GAUSSIAN(numbers, centre):
+    """(mean, axis lengths, quaternion, opacity, colour) of the numbers of 9.4, for a camera's centre in the world."""
+    mean, harmonics = list(numbers[:3]), numbers[11:]
+    values = HARMONICS(NORMALISED([a - b for a, b in zip(mean, centre)], [0.0] * 3), len(harmonics) // 3)
+    sums = [sum(value * h for value, h in zip(values, harmonics[i::3])) for i in range(3)]
+    lengths = [math.exp(x) for x in numbers[3:6]]
+    quaternion = NORMALISED(numbers[6:10], [1.0, 0.0, 0.0, 0.0])
+    return mean, lengths, quaternion, LOGISTIC(numbers[10]), [max(0.5 + x, 0.0) for x in sums]
 
 
 # SPEC Annex A
@@ -976,6 +1060,7 @@ def SHAPES(v):
 
 
 RENDERING = ("opacity", "covariance", "colour")
+STATIC = 1
 
 
 # SPEC Annex H
@@ -989,8 +1074,10 @@ def WEIGHT_COUNT(v, names):
 def WORK(v):
     """11.2"""
     d = sum(v["slice_width"]) + 6 + 3 * v["offset_count"][0]
-    carm = [i for i in range(1, v["slice_count"][0])]
-    anchor = WEIGHT_COUNT(v, ["hyper"] + carm) + 16 * d
+    names = ["hyper"] + [i for i in range(1, v["slice_count"][0])]
+    if v["view_inputs"][0] == 0:
+        names += RENDERING
+    anchor = WEIGHT_COUNT(v, names) + 16 * d
     plane = WEIGHT_COUNT(v, ["sarm"]) + 16
     symbols = 5 * v["plane_channels"][0] * v["plane_size"][0] * v["plane_size"][0]
     return v["anchor_count"][0] * anchor + symbols * plane
@@ -1020,6 +1107,9 @@ def CHECK_HEADER(h):
     if v["render_model"][0] == 0:
         REQUIRE(v["view_inputs"][0] == 4, "header.dimension", at["view_inputs"])
         REQUIRE(v["colour_outputs"][0] == 3, "header.dimension", at["colour_outputs"])
+    if v["render_model"][0] == STATIC:
+        REQUIRE(v["view_inputs"][0] == 0, "header.dimension", at["view_inputs"])
+        REQUIRE(v["colour_outputs"][0] in (3, 12, 27, 48), "header.dimension", at["colour_outputs"])
     REQUIRE(size <= level["plane_size"], "header.dimension", at["plane_size"])
     REQUIRE(n <= level["anchor_count"], "header.anchor_count", at["anchor_count"])
     work = WORK(v)
@@ -1182,7 +1272,7 @@ def PARSE_WEIGHTS(data, at, e, v):
         networks[name], integers[name] = [], []
     for (name, (_, columns)), values, layer_at in zip(shapes, layers, places):
         networks[name].append(values)
-        if name not in RENDERING:
+        if name not in RENDERING or v["render_model"][0] == STATIC:
             derived = [DERIVE_ROW(w, b) for w, b in zip(values[0], values[1])]
             for r, row in enumerate(derived):
                 # The first weight of the row, or its bias if the layer has no inputs.
@@ -1306,20 +1396,25 @@ def DECODE_CHUNK(data, at, entry, v, s):
 
 
 # SPEC Annex H
-def CHUNK_PARTS(v, positions, masks, symbols, steps):
-    """The parts of the canonical reconstruction of some anchors, as bytes, by name."""
+def CHUNK_PARTS(v, networks, positions, masks, symbols, steps):
+    """The parts of the canonical reconstruction of some anchors, as bytes, by name. networks: their integer rows."""
     grid = {"origin": v["origin"], "scale_mantissa": v["scale_mantissa"][0], "scale_exponent": v["scale_exponent"][0]}
     features = sum(v["slice_width"])
     parts = {"positions": [], "masks": [], "features": [], "scalings": [], "offsets": []}
+    if v["render_model"][0] == STATIC:
+        parts["splat"] = []
     table = [[STEP_VALUE(q, base) for q in range(STEP_LENGTH)] for base in v["base_step"]]
     for p, m, y, q in zip(positions, masks, symbols, steps):
-        for axis in range(3):
-            parts["positions"] += BYTES(WORLD(grid, axis, POSITION_INTEGER(p[axis])), 4)
+        world = [WORLD(grid, axis, POSITION_INTEGER(p[axis])) for axis in range(3)]
+        kinds = (y[:features], y[features : features + 6], y[features + 6 :])
+        found = [[VALUE(symbol, table[i][q[i]]) for symbol in own] for i, own in enumerate(kinds)]
         parts["masks"] += m
-        kinds = (("features", y[:features]), ("scalings", y[features : features + 6]), ("offsets", y[features + 6 :]))
-        for i, (name, own) in enumerate(kinds):
-            for symbol in own:
-                parts[name] += BYTES(VALUE(symbol, table[i][q[i]]), 4)
+        for name, values in zip(("positions", "features", "scalings", "offsets"), [world] + found):
+            for bits in values:
+                parts[name] += BYTES(bits, 4)
+        if v["render_model"][0] == STATIC:
+            for bits in SPLAT(networks, world, found[0], found[1], found[2], m):
+                parts["splat"] += BYTES(bits, 4)
     return parts
 
 
@@ -1334,6 +1429,8 @@ def DECODE_FILE(data):
     s = {"frame": None, "planes": [], "weights": None, "index": None}
     lengths = [e["length"] for e in h["entries"] if e["type"] == DATA]
     names = ("positions", "masks", "planes", "features", "scalings", "offsets", "weights")
+    if v["render_model"][0] == STATIC:
+        names += ("splat",)
     parts, chunks = {}, []
     for name in names:
         parts[name] = []
@@ -1344,7 +1441,7 @@ def DECODE_FILE(data):
             place = at
             for entry in s["index"]["entries"]:
                 found = DECODE_CHUNK(data, place, entry, v, s)
-                own = CHUNK_PARTS(v, found[0], found[1], found[2], found[3])
+                own = CHUNK_PARTS(v, s["weights"]["integers"], found[0], found[1], found[2], found[3])
                 head = ASCII("C3GSCHK1") + BYTES(entry["anchors"], 4)
                 head += BYTES(v["offset_count"][0], 4) + BYTES(sum(v["slice_width"]), 4)
                 chunks.append(SHA256(head + [byte for name in own for byte in own[name]]))

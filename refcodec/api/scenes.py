@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from ..bitstream.cameras import NamedCamera, cameras
 from ..bitstream.codec import emit
-from ..bitstream.dimensions import RENDERING
 from ..bitstream.metadata import metadata
 from ..bitstream.reconstruction import Reconstruction, digest, reconstruct
 from ..bitstream.scene import Scene as CodedScene
@@ -25,7 +24,7 @@ from ..bitstream.scene import take_anchors
 from ..inspect.elements import outline_of
 from ..inspect.parts import part_bytes
 from ..render.camera import Camera, check_camera, default_camera
-from ..render.gaussians import Gaussians, check_render_model, gaussians
+from ..render.gaussians import Gaussians, gaussians_of
 from . import page
 
 if TYPE_CHECKING:
@@ -149,7 +148,7 @@ class Scene:
         return digest(self.coded)[0]
 
     def gaussians(self, camera: Camera | None = None) -> Gaussians:
-        """SPEC 14.3: returns the Gaussians that a camera sees.
+        """SPEC 14.3 and 14.6: returns the Gaussians that a camera sees.
 
         camera: None for the default view. The mean, the lengths of the axes, the quaternion, the opacity and the colour
         of a Gaussian are float32 [n, ...], and anchor and offset say where it comes from. Raises ValueError for an
@@ -157,10 +156,7 @@ class Scene:
         """
         camera = camera or self.camera
         check_camera(camera)
-        check_render_model(self.coded.render)
-        networks = {name: self.coded.networks[name] for name in RENDERING}
-        unit = self.coded.render.distance_unit
-        return gaussians(self.values, self.masks, networks, camera, unit)
+        return gaussians_of(self.coded, camera, self.values)
 
     def render(self, camera: Camera | None = None) -> NDArray[np.uint8]:
         """SPEC chapter 14: returns the image of a camera, uint8 [height, width, 3]: red, green and blue.

@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from .cameras import CAMERAS
-from .dimensions import weight_count, work
+from .dimensions import STATIC, weight_count, work
 from .directory import DATA, is_critical
 from .header import Header
 from .positions import CELL_LEVELS
+from .splat import HARMONICS
 
 # Estimates in bytes, one to two times the measured values: a weight as float32 and as an integer, with its copies; a
 # point of a plane while it is decoded; a value of an anchor that is being decoded; and a value that is held.
@@ -87,6 +88,9 @@ def memory_needed(header: Header, at_once: int, held: int = 0, more: int = 0) ->
     planes = 5 * d.plane_channels * d.plane_size**2
     chunks = header.chunk_count * (CHUNK + (HELD_CHUNK if held else 0))
     anchors = values * (at_once * DECODING + held * HOLDING)
+    if header.render.render_model == STATIC:
+        # SPEC 9.4: the Gaussians as float32, and what they are computed from.
+        anchors += 8 * at_once * d.offset_count * (HARMONICS.start + d.colour_outputs)
     return weight_count(d) * WEIGHT + planes * PLANE_POINT + chunks + anchors + more
 
 

@@ -17,6 +17,7 @@ from .batches import GROUP_ANCHORS, Progress, groups, no_progress, one_thread
 from .bounds import READING, Bounds
 from .chunks import chunk_ranges, emit_chunk
 from .context import context
+from .dimensions import STATIC
 from .directory import DATA, FRAME, INDEX, PLANES_SECTION, WEIGHTS, critical_sections, is_critical, read_section
 from .entropy import Encoder, Trace, require_limit
 from .errors import BitstreamError
@@ -32,6 +33,7 @@ from .positions import RAW, emit_position_model, encode_positions, first_bad, fo
 from .reader import Chunk, Reader
 from .scene import Ancillary, Scene, check_shapes, check_types
 from .source import Piece, WholeFile, padded
+from .splat import derive_rendering
 from .weights import emit_weights, parse_weights
 
 # Bytes allocated for anchors per byte of a file before any chunk is decoded. anchor_count is untrusted: without this
@@ -125,6 +127,8 @@ class Coding:
     def __init__(self, scene: Scene, exact_float: bool | None = None, block_rows: int | None = None) -> None:
         """exact_float, block_rows: as in IntNetwork. Raises BoundError."""
         networks = derive_networks(scene.networks, exact_float, block_rows)
+        if scene.render.render_model == STATIC:
+            derive_rendering(scene.networks)
         self.networks = networks
         self.sarm = networks.get("sarm")
         self.model = EntropyModel.of(networks, scene.carm_shift, scene.dimensions.slices)

@@ -10,6 +10,8 @@ from typing import Any
 SCALINGS = 6
 # SPEC 5.8: the rendering networks. No symbol depends on them.
 RENDERING = ("opacity", "covariance", "colour")
+# SPEC 6.5: the render model of static scenes.
+STATIC = 1
 
 
 @dataclass(frozen=True)
@@ -133,8 +135,10 @@ def weight_count(d: Dimensions) -> int:
 
 def work(d: Dimensions, anchors: int) -> int:
     """SPEC 11.2: returns the work of a scene, N * (W_a + 16 D) + 5 ch B^2 (W_s + 16). anchors: N."""
+    rendering = RENDERING if d.view_inputs == 0 else ()
     counts = {"hyper": 0, "sarm": 0, "carm": 0, **dict.fromkeys(RENDERING, 0)}
     for name, out, fan_in in layers_of(d):
         counts[name.split(".")[0]] += out * (fan_in + 1)
     points = 5 * d.plane_channels * d.plane_size**2
-    return anchors * (counts["hyper"] + counts["carm"] + 16 * d.attribute_width) + points * (counts["sarm"] + 16)
+    each = sum(counts[name] for name in ("hyper", "carm", *rendering))
+    return anchors * (each + 16 * d.attribute_width) + points * (counts["sarm"] + 16)

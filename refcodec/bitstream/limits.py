@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from .dimensions import Dimensions, work
+from .dimensions import STATIC, Dimensions, work
 
 TINY, MAIN = 0, 1
 Bounds = tuple[int, int]
@@ -142,11 +142,15 @@ def dimension_fault(profile: Profile, d: Dimensions, render_model: int) -> tuple
         return "hyper_layers", len(d.hyper_width), "0 if plane_channels and frequency_count are 0"
     if d.carm_width and len(d.slices) == 1:
         return "carm_layers", len(d.carm_width), "0 if slice_count is 1"
-    # SPEC 6.5: a decoder knows only that render model 0 has these.
+    # SPEC 6.5: of other render models, a decoder knows nothing.
     if render_model == 0 and d.view_inputs != 4:
         return "view_inputs", d.view_inputs, "4 if render_model is 0"
     if render_model == 0 and d.colour_outputs != 3:
         return "colour_outputs", d.colour_outputs, "3 if render_model is 0"
+    if render_model == STATIC and d.view_inputs != 0:
+        return "view_inputs", d.view_inputs, "0 if render_model is 1"
+    if render_model == STATIC and d.colour_outputs not in (3, 12, 27, 48):
+        return "colour_outputs", d.colour_outputs, "3, 12, 27 or 48 if render_model is 1"
     return None
 
 

@@ -6,7 +6,7 @@ not, gives the same exact result. If a faulty BLAS does not, the self-test choos
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Container, Mapping
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -128,15 +128,19 @@ class IntNetwork:
 
 
 def derive_networks(
-    networks: Mapping[str, list[Layer]], exact_float: bool | None = None, block_rows: int | None = None
+    networks: Mapping[str, list[Layer]],
+    exact_float: bool | None = None,
+    block_rows: int | None = None,
+    names: Container[str] | None = None,
 ) -> dict[str, IntNetwork]:
-    """SPEC 7.2: returns the integer networks F_h, SARM and CARM, by name. The rendering networks are omitted.
+    """SPEC 7.2: returns integer networks by name.
 
-    exact_float, block_rows: as in IntNetwork. Raises BoundError, which names the layer.
+    names: those of the networks, or None for F_h, SARM and CARM. exact_float, block_rows: as in IntNetwork. Raises
+    BoundError, which names the layer.
     """
     found = {}
     for name, layers in networks.items():
-        if name in RENDERING:
+        if name in RENDERING if names is None else name not in names:
             continue
         derived = []
         for index, layer in enumerate(layers):

@@ -19,6 +19,7 @@ from .batches import GROUP_ANCHORS, GROUP_CHUNKS, PartDecoder, Progress, no_prog
 from .bounds import READING, Bounds, section_bytes
 from .chunks import PARTS, CodedChunk, read_chunk
 from .context import JoinedPlanes, context
+from .dimensions import STATIC
 from .directory import DATA, INDEX, Section, check_end, is_critical, pass_section, read_section
 from .entropy import Trace
 from .errors import BitstreamError
@@ -32,6 +33,7 @@ from .planes import assemble_planes, no_planes, parse_planes
 from .positions import parse_positions, position_error, raw_numbers
 from .scene import Ancillary, Scene
 from .source import Held, Piece, Source
+from .splat import derive_rendering
 from .tables import ModelSet
 from .weights import ParsedWeights, bound_error, parse_weights
 
@@ -111,6 +113,9 @@ class Reader:
         weights = parse_weights(piece, section.mode, d, 1 << h.lanes.attribute, self.trace, self._kernel)
         try:
             networks = self._derive(weights.networks)
+            # SPEC [R6.8-4]
+            if h.render.render_model == STATIC:
+                derive_rendering(weights.networks)
         except BoundError as error:
             raise bound_error(weights, d, error) from None
         planes = no_planes()

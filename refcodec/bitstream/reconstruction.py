@@ -15,16 +15,23 @@ from . import syntax
 from .attributes import KINDS
 from .batches import GROUP_ANCHORS
 from .conventions import F32, f32_parts, round_to_f32
-from .dimensions import dimension_fields
+from .dimensions import STATIC, dimension_fields
 from .kernel import Kernel, kernel, values
 from .positions import position_integers
 from .scene import Scene
+from .splat import derive_rendering, splat
 from .tables import STEP_SHIFT, step_table
 
 # SPEC 9.3: the first hashed bytes of the digests of a scene and of a chunk, and the parts of the reconstruction.
 DIGEST_MAGIC = b"C3GSREC1"
 CHUNK_MAGIC = b"C3GSCHK1"
 PARTS = ("positions", "masks", "planes", "features", "scalings", "offsets", "weights")
+SPLAT = "splat"
+
+
+def part_names(render_model: int) -> tuple[str, ...]:
+    """SPEC 9.3: returns the names of the reconstruction parts of a scene, in their order."""
+    return (*PARTS, SPLAT) if render_model == STATIC else PARTS
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,9 +100,8 @@ def _little(values: NDArray[Any], kind: str) -> bytes:
 
 def canonical_parts(scene: Scene) -> Iterator[tuple[str, bytes]]:
     """SPEC 9.3: yields the name and the bytes of each part of the canonical reconstruction."""
-    r = reconstruct(scene)
-    anchors = anchor_parts(r, scene.masks)
-    for name in PARTS:
+    anchors = anchor_parts(scene, reconstruct(scene))
+    for name in part_names(scene.render.render_model):
         if name == "planes":
             yield name, _little(scene.planes, "<i2")
         elif name == "weights":
@@ -104,13 +110,24 @@ def canonical_parts(scene: Scene) -> Iterator[tuple[str, bytes]]:
             yield name, anchors[name]
 
 
-def anchor_parts(r: Reconstruction, masks: NDArray[np.bool_]) -> dict[str, bytes]:
-    """SPEC 9.3: returns the bytes of some anchors in each part that has anchors, by name. masks: bool [n, K]."""
-    return {
+def anchor_parts(scene: Scene, r: Reconstruction) -> dict[str, bytes]:
+    """SPEC 9.3: returns the bytes of a scene's anchors in each part that has anchors, by name. r: their values."""
+    found = {
         "positions": _little(r.positions, "<f4"),
-        "masks": _little(masks, "u1"),
+        "masks": _little(scene.masks, "u1"),
         **{kind: _little(getattr(r, kind), "<f4") for kind in KINDS},
     }
+    if scene.render.render_model == STATIC:
+        found[SPLAT] = _little(gaussians(scene, r), "<f4")
+    return found
+
+
+def gaussians(scene: Scene, r: Reconstruction | None = None) -> F32:
+    """SPEC 9.4: returns the Gaussians of a static scene, float32 [kept offsets, 11 + colour_outputs], see splat.py.
+
+    r: the values of the scene, if known.
+    """
+    return splat(derive_rendering(scene.networks), reconstruct(scene) if r is None else r, scene.masks)
 
 
 def weight_part(scene: Scene) -> bytes:
@@ -143,7 +160,8 @@ def digest(scene: Scene) -> tuple[str, dict[str, str]]:
     """SPEC 9.3: returns the digest of a scene, and the digest of each part by name, in hexadecimal."""
     data = digested(scene)
     head = len(canonical_head(scene))
-    parts = {name: data[head + 32 * i : head + 32 * i + 32].hex() for i, name in enumerate(PARTS)}
+    names = part_names(scene.render.render_model)
+    parts = {name: data[head + 32 * i : head + 32 * i + 32].hex() for i, name in enumerate(names)}
     return hashlib.sha256(data).hexdigest(), parts
 
 
@@ -151,7 +169,7 @@ def chunk_digest(scene: Scene, values: Reconstruction | None = None) -> str:
     """SPEC 9.3: returns the digest of a chunk, in hexadecimal. scene, values: as for StreamDigest.add."""
     d = scene.dimensions
     whole = hashlib.sha256(CHUNK_MAGIC + struct.pack("<3I", scene.anchor_count, d.offset_count, d.features))
-    for part in anchor_parts(values or reconstruct(scene), scene.masks).values():
+    for part in anchor_parts(scene, values or reconstruct(scene)).values():
         whole.update(part)
     return whole.hexdigest()
 
@@ -161,12 +179,12 @@ class StreamDigest:
 
     def __init__(self) -> None:
         self._count = 0
-        self._parts = {name: hashlib.sha256() for name in PARTS}
+        self._parts = {name: hashlib.sha256() for name in (*PARTS, SPLAT)}
 
     def add(self, scene: Scene, values: Reconstruction | None = None) -> None:
         """Adds a chunk. scene: with only the chunk's anchors. values: the chunk's values, if known."""
         self._count += scene.anchor_count
-        for name, data in anchor_parts(values or reconstruct(scene), scene.masks).items():
+        for name, data in anchor_parts(scene, values or reconstruct(scene)).items():
             self._parts[name].update(data)
 
     def finish(self, scene: Scene) -> str:
@@ -178,5 +196,6 @@ class StreamDigest:
         self._parts["planes"].update(_little(scene.planes, "<i2"))
         self._parts["weights"].update(weight_part(scene))
         head = canonical_head(scene, self._count)
-        whole = hashlib.sha256(head + b"".join(part.digest() for part in self._parts.values())).hexdigest()
-        return whole, {name: part.hexdigest() for name, part in self._parts.items()}
+        parts = {name: self._parts[name] for name in part_names(scene.render.render_model)}
+        whole = hashlib.sha256(head + b"".join(part.digest() for part in parts.values())).hexdigest()
+        return whole, {name: part.hexdigest() for name, part in parts.items()}

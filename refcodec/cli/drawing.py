@@ -54,9 +54,8 @@ def _tell(lines: Iterable[str]) -> None:
 def _gaussians(arguments: argparse.Namespace) -> int:
     import json
 
-    from ..bitstream.reconstruction import reconstruct
     from ..render.camera import CAMERA_MAX, read_camera
-    from ..render.gaussians import check_render_model, gaussians, gaussians_document
+    from ..render.gaussians import gaussians_document, gaussians_of
 
     output = Path(arguments.output)
     check_file(output, Kind.signed("a list of Gaussians", b'{"gaussians":'))
@@ -67,8 +66,7 @@ def _gaussians(arguments: argparse.Namespace) -> int:
     except ValueError as error:
         raise UsageError(f"{arguments.camera} is not a camera: {error}; vectors/README.md describes one") from None
     scene = parse_file(arguments, read_bounded(arguments)).scene
-    check_render_model(scene.render)
-    visible = gaussians(reconstruct(scene), scene.masks, scene.networks, camera, scene.render.distance_unit)
+    visible = gaussians_of(scene, camera)
     write_file(output, json.dumps(gaussians_document(visible), separators=(",", ":")).encode())
     return 0
 

@@ -124,6 +124,7 @@ def _export(arguments: argparse.Namespace) -> int:
     try:
         from ..export.fit import agreement, fit
         from ..export.formats import FORMATS, splat_file
+        from ..render.gaussians import check_view_dependent
         from ..render.view import View, stated_cameras
     except ModuleNotFoundError as error:
         raise needs("export", "render", error, RENDER_PACKAGES) from None
@@ -136,6 +137,7 @@ def _export(arguments: argparse.Namespace) -> int:
     note_compiling()
     shown = read_shown(arguments)
     scene = parse_file(arguments, shown).scene if isinstance(shown, bytes) else shown
+    check_view_dependent(scene.render)
     view = View(scene)
     views, read = _views(arguments, shown, view, stated_cameras(scene))
     check_apart(outputs, read)

@@ -49,7 +49,7 @@ from ..folder.layout import RENDER_FILE
 from ..folder.ply import ply_values
 from ..folder.uncompressed import render_document
 from ..render.camera import default_camera
-from ..render.gaussians import check_render_model
+from ..render.gaussians import check_view_dependent
 from ..statuses import UsageError
 
 if TYPE_CHECKING:
@@ -100,7 +100,7 @@ def scaffold_files(
     values: the float32 values of the scene. masks: bool [N, K]. networks: the rendering networks, by name.
     cameras: the first is the default view. voxel: cell size of the position lattice, world units, or None.
     """
-    check_render_model(render)
+    check_view_dependent(render)
     model = _model(values, masks, networks, render.distance_unit)
     modules = {name: _module(name, model.networks[name]) for name in RENDERING}
     files = {

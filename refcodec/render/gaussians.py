@@ -8,15 +8,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from ..bitstream.dimensions import RENDERING
+from ..bitstream.dimensions import RENDERING, STATIC
 from ..bitstream.header import RenderInfo
 from ..bitstream.networks import Layer
-from ..bitstream.reconstruction import Reconstruction
+from ..bitstream.reconstruction import Reconstruction, reconstruct
+from ..bitstream.reconstruction import gaussians as splat_of
+from ..bitstream.scene import Scene
+from ..bitstream.splat import HARMONICS, LENGTHS, LOGIT, MEAN, QUATERNION
 from ..statuses import UsageError
 from .camera import Camera
 
-# SPEC 6.5: the scenes that chapter 14 draws.
-RENDER_MODEL = 0
+# SPEC 6.5: the render models that chapter 14 draws: view-dependent and static scenes.
+VIEW_DEPENDENT, RENDER_MODELS = 0, (0, STATIC)
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,10 +50,19 @@ class RenderModelError(UsageError, ValueError):
 # SPEC [G6.5-1]
 def check_render_model(info: RenderInfo) -> None:
     """Raises RenderModelError for a scene whose render model is not known."""
-    if info.render_model != RENDER_MODEL:
+    if info.render_model not in RENDER_MODELS:
         raise RenderModelError(
-            f"the scene has render_model {info.render_model}, but this version draws only {RENDER_MODEL}; "
+            f"the scene has render_model {info.render_model}, but this version draws only 0 and 1; "
             "use a later version (SPEC.md 6.5)"
+        )
+
+
+def check_view_dependent(info: RenderInfo) -> None:
+    """Raises RenderModelError for a scene whose rendering networks do not read the view, such as a static scene."""
+    if info.render_model != VIEW_DEPENDENT:
+        raise RenderModelError(
+            f"the scene has render_model {info.render_model}, but must have {VIEW_DEPENDENT}, view-dependent; "
+            "this command does not take other scenes (SPEC.md 6.5)"
         )
 
 
@@ -111,6 +123,72 @@ def gaussians(
         anchor,
         offset,
     )
+
+
+def gaussians_of(scene: Scene, camera: Camera, values: Reconstruction | None = None) -> Gaussians:
+    """Returns the Gaussians of a scene for a camera (SPEC 14.3, 14.6). values: those of the scene, if known.
+
+    Raises RenderModelError.
+    """
+    check_render_model(scene.render)
+    found = reconstruct(scene) if values is None else values
+    if scene.render.render_model == STATIC:
+        return static_gaussians(splat_of(scene, found), scene.masks, camera)
+    return gaussians(found, scene.masks, scene.networks, camera, scene.render.distance_unit)
+
+
+@np.errstate(over="ignore", invalid="ignore")
+def static_gaussians(
+    numbers: NDArray, masks: NDArray[np.bool_], camera: Camera, dtype: DTypeLike = np.float32
+) -> Gaussians:
+    """SPEC 14.6, STATIC_GAUSSIAN: returns the Gaussians of a static scene for a camera, in the order of 9.4.
+
+    numbers: of the Gaussians (refcodec.bitstream.splat). masks: bool [N, K]. dtype: as for gaussians.
+    """
+    anchor, offset = np.nonzero(masks)
+    away = (numbers[:, MEAN].astype(np.float64) - camera.centre).astype(dtype)
+    distance = np.linalg.norm(away, axis=1, keepdims=True)
+    direction = np.divide(away, distance, out=np.zeros_like(away), where=distance > 0)
+    coefficients = numbers[:, HARMONICS].astype(dtype)
+    coefficients = coefficients.reshape(len(numbers), coefficients.shape[1] // 3, 3)
+    values = harmonics(direction, coefficients.shape[1])
+    quaternion = numbers[:, QUATERNION].astype(dtype)
+    return Gaussians(
+        numbers[:, MEAN].astype(dtype),
+        np.exp(numbers[:, LENGTHS].astype(dtype)),
+        quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True),
+        _logistic(numbers[:, LOGIT].astype(dtype)),
+        np.maximum(0.5 + np.einsum("nc,ncx->nx", values, coefficients), 0).astype(dtype),
+        anchor,
+        offset,
+    )
+
+
+def harmonics(direction: NDArray, count: int) -> NDArray:
+    """SPEC 14.6, HARMONICS: returns the first `count` real spherical harmonics of directions, [n, count].
+
+    direction: [n, 3], unit vectors or zeros.
+    """
+    x, y, z = direction.T
+    columns = [
+        np.full_like(x, 0.28209479177387814),
+        -0.4886025119029199 * y,
+        0.4886025119029199 * z,
+        -0.4886025119029199 * x,
+        1.0925484305920792 * x * y,
+        -1.0925484305920792 * y * z,
+        0.31539156525252005 * (2 * z * z - x * x - y * y),
+        -1.0925484305920792 * x * z,
+        0.5462742152960396 * (x * x - y * y),
+        -0.5900435899266435 * y * (3 * x * x - y * y),
+        2.890611442640554 * x * y * z,
+        -0.4570457994644658 * y * (4 * z * z - x * x - y * y),
+        0.3731763325901154 * z * (2 * z * z - 3 * x * x - 3 * y * y),
+        -0.4570457994644658 * x * (4 * z * z - x * x - y * y),
+        1.445305721320277 * z * (x * x - y * y),
+        -0.5900435899266435 * x * (x * x - 3 * y * y),
+    ]
+    return np.stack(columns[:count], axis=1)
 
 
 def gaussians_document(gaussians: Gaussians) -> dict[str, Any]:

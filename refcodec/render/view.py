@@ -13,12 +13,13 @@ from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
 from ..bitstream.cameras import NamedCamera, cameras
-from ..bitstream.dimensions import RENDERING
+from ..bitstream.dimensions import RENDERING, STATIC
+from ..bitstream.reconstruction import gaussians as splat_of
 from ..bitstream.reconstruction import reconstruct
 from ..bitstream.scene import Scene
 from ..folder.uncompressed import Uncompressed
 from .camera import Camera, axis_direction, check_camera, default_camera, level_up, nearest_axis
-from .gaussians import check_render_model, gaussians
+from .gaussians import Gaussians, check_render_model, gaussians, static_gaussians
 from .rasterise import image
 
 F32 = NDArray[np.float32]
@@ -59,13 +60,20 @@ class View:
         self.up = scene_up(self.info.up_axis, stated_cameras(scene))
         self.values = reconstruct(scene) if isinstance(scene, Scene) else scene.values
         self.networks = {name: scene.networks[name] for name in RENDERING}
+        self.splat = None
+        if isinstance(scene, Scene) and self.info.render_model == STATIC:
+            self.splat = splat_of(scene, self.values)
+
+    def gaussians(self, camera: Camera) -> Gaussians:
+        """Returns the Gaussians for a camera (SPEC 14.3, 14.6)."""
+        if self.splat is not None:
+            return static_gaussians(self.splat, self.masks, camera)
+        return gaussians(self.values, self.masks, self.networks, camera, self.info.distance_unit)
 
     def draw(self, camera: Camera) -> F32:
         """Returns the image of a camera, float32 [height, width, 3], 1 for white. Raises ValueError as rasterise."""
         check_camera(camera)
-        return image(
-            gaussians(self.values, self.masks, self.networks, camera, self.info.distance_unit), camera, self.info
-        )
+        return image(self.gaussians(camera), camera, self.info)
 
     @cached_property
     def extent(self) -> tuple[F64, float]:

@@ -17,7 +17,7 @@ from ..files.ply import PlyError, property_names
 from ..folder.layout import NETWORKS_FILE, PLY_FILE, RENDER_FILE, SCENE_FILE, there
 from ..folder.read import read_folder
 from ..folder.uncompressed import is_uncompressed, read_uncompressed
-from ..render.gaussians import check_render_model
+from ..render.gaussians import check_view_dependent
 from .voxelise import default_voxel, read_points, short_mantissa, voxelise
 
 _ADVICE = "restore the file, or give another scene folder"
@@ -94,7 +94,7 @@ def _read_scene(folder: Path, voxel: float | None) -> Given:
     scene = read_folder(folder)
     networks = {name: scene.networks[name] for name in RENDERING}
     grid = None if voxel else scene.grid
-    check_render_model(scene.render)
+    check_view_dependent(scene.render)
     stated = tuple(cameras(scene.ancillary))
     return Given(_cloud(reconstruct(scene), scene.masks), voxel, grid, networks, scene.render, stated)
 

@@ -13,7 +13,7 @@ from torch import Tensor
 from ..bitstream.dimensions import RENDERING
 from ..photographs.photographs import PhotographSet
 from ..render.camera import Camera
-from ..render.gaussians import check_render_model
+from ..render.gaussians import check_view_dependent
 from .continued import Beginning, beginning
 from .fit_input import Given
 from .rate_model.columns import Columns
@@ -75,7 +75,7 @@ class Scaffold:
     def _go_on(self, first: Beginning, settings: TrainSettings, generator: torch.Generator) -> None:
         """Takes the anchors and networks of a scene."""
         given, self.near = first.given, settings.start.near
-        check_render_model(given.render)
+        check_view_dependent(given.render)
         self.units, self.lattice = first.units, first.lattice
         self.columns = Columns(settings.entropy.slices, given.cloud.masks.shape[1])
         self.tables = {name: self._moved(first.tables[name]) for name in TABLES}

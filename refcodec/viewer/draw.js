@@ -23,7 +23,7 @@ void main() {
   vec4 first = uintBitsToFloat(texelFetch(gaussians, place + ivec2(1, 0), 0));
   uvec4 last = texelFetch(gaussians, place + ivec2(2, 0), 0);
   vec2 second = uintBitsToFloat(last.xy);
-  paint = vec4(unpackUnorm2x16(last.z), unpackUnorm2x16(last.w).x, mean.w);
+  paint = vec4(float(last.w >> 16) * vec3(unpackUnorm2x16(last.z), unpackUnorm2x16(last.w).x), mean.w);
   mat3 covariance = mat3(first.xyz, first.yw, second.x, first.z, second.xy);
   // 14.4, PROJECT. The matrix has the rows of the rotation, thus the transposed one transforms to the world.
   vec3 p = (mean.xyz - centre) * rotation;

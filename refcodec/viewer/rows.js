@@ -4,7 +4,9 @@
 //
 //   mean x, y, z, opacity            f32
 //   covariance xx, xy, xz, yy        f32
-//   covariance yz, zz                f32, then red and green, blue and 0, as 16-bit fractions of 1
+//   covariance yz, zz                f32, then red and green, blue and unit, 16 bits each: colours as fractions of unit
+//
+// The unit is 1 unless a colour is above 1, as in a static scene (14.6).
 import { boundsOf } from "../web/gaussians.js";
 
 // Gaussians of a row.
@@ -17,6 +19,8 @@ export const WAITING_MAX = 1024;
 // A click hits Gaussians within this angle of its ray.
 const COS_NEAR = Math.cos(0.15);
 const MET = 16;
+// The largest unit of colours. The blended numbers are within 16-bit floats.
+const UNIT_MAX = 1 << 15;
 // 14.5: an alpha below this counts as 0.
 const ALPHA_MIN = 1 / 255;
 
@@ -83,9 +87,11 @@ export class Rows {
       for (let axis = 0; axis < 3; axis++) floats[at + axis] = means[3 * n + axis] = positions[3 * i + axis];
       floats[at + 3] = opacities[i];
       covariance(scales, 3 * i, rotations, 4 * i, floats, at + 4);
-      const [red, green, blue] = [0, 1, 2].map((k) => Math.round(65535 * colours[3 * i + k]));
+      const own = [colours[3 * i], colours[3 * i + 1], colours[3 * i + 2]];
+      const unit = Math.min(Math.ceil(Math.max(1, own[0], own[1], own[2])), UNIT_MAX);
+      const [red, green, blue] = own.map((x) => Math.round(65535 * Math.min(x / unit, 1)));
       words[at + 10] = red | (green << 16);
-      words[at + 11] = blue;
+      words[at + 11] = blue | (unit << 16);
       // A non-finite number would spread over the image.
       if (finite(floats, at, at + 10)) n++;
     }

@@ -1,5 +1,5 @@
 // Bounds of the caller (SPEC.md 13.1). Exceeding a bound is not a verdict on the file.
-import { attributeChannels, weightCount } from "./container.js";
+import { attributeChannels, isStatic, splatWidth, weightCount } from "./container.js";
 import { BoundPassedError } from "./errors.js";
 
 // Estimates in bytes, those of refcodec.bitstream.bounds: a weight as f32, as an integer and with its copies; a point
@@ -16,6 +16,9 @@ const HELD_CHUNK = 2048;
 const ANCHOR = 32;
 const UNIT = 12;
 const KEPT = 13;
+// The same in a static scene, in splat.js: bytes per anchor, and per kept offset besides the numbers of its Gaussian.
+const STATIC_ANCHOR = 4;
+const STATIC_KEPT = 1;
 
 // options: maxAnchors, maxMemory. header: from readHeader. held: stored anchors. more: further bytes.
 export function checkBounds({ maxAnchors = Infinity, maxMemory = Infinity }, header, held = 0, more = 0) {
@@ -23,14 +26,19 @@ export function checkBounds({ maxAnchors = Infinity, maxMemory = Infinity }, hea
   if (h.anchor_count > maxAnchors) throw new BoundPassedError("anchors", h.anchor_count, maxAnchors);
   const planes = 5 * h.plane_channels * h.plane_size ** 2;
   const anchor = attributeChannels(h) + h.offset_count;
+  // 9.4: the Gaussians of one chunk, as arrays and as rows
+  const splat = isStatic(h) ? 8 * h.offset_count * splatWidth(h) : 0;
   const atOnce = Math.min(h.anchor_count, h.chunk_size);
   const chunks = h.chunk_count * (CHUNK + (held ? HELD_CHUNK : 0));
-  const own = weightCount(h) * WEIGHT + planes * PLANE_POINT + chunks + anchor * (atOnce * DECODING + held * HOLDING);
+  const anchors = atOnce * (anchor * DECODING + splat) + held * anchor * HOLDING;
+  const own = weightCount(h) * WEIGHT + planes * PLANE_POINT + chunks + anchors;
   checkBytes({ maxMemory }, own + more);
 }
 
 // The memory of Gaussians for some anchors and their kept offsets.
-export function gaussiansBytes({ render_width: width }, count, kept) {
+export function gaussiansBytes(header, count, kept) {
+  if (isStatic(header)) return count * STATIC_ANCHOR + kept * (STATIC_KEPT + 4 * splatWidth(header));
+  const { render_width: width } = header;
   return count * (ANCHOR + UNIT * 4 * Math.ceil(width / 4)) + kept * KEPT;
 }
 

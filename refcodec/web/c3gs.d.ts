@@ -55,7 +55,7 @@ export class BoundPassedError extends Error {
   readonly allowed: number;
 }
 
-/** A scene whose render_model is not 0 cannot be drawn. It is not a verdict on the file. */
+/** A scene of another render_model: it cannot be drawn, or has no `splat`. It is not a verdict on the file. */
 export class RenderModelError extends Error {}
 
 /** The fields of 5.2 to 5.5 by name. */
@@ -84,7 +84,7 @@ export interface Header {
   /** Code points of Rec. ITU-T H.273 for drawn colours (6.5). 1 and 13 are BT.709 and sRGB; 8 is linear light. */
   readonly colour_primaries: number;
   readonly transfer_characteristics: number;
-  /** Only scenes with 0 can be drawn (6.5). */
+  /** 0: view-dependent, 1: static. Scenes with other values cannot be drawn (6.5). */
   readonly render_model: number;
   readonly offset_count: number;
   readonly plane_channels: number;
@@ -152,6 +152,23 @@ export interface Chunk extends Anchors {
   readonly lengths: { readonly positions: number; readonly masks: number; readonly attributes: number };
   /** SHA-256 (9.3), 32 bytes, if the options request digests. */
   readonly digest?: Uint8Array;
+  /** The part splat of a static scene (9.3), if the options request digests: the numbers of each Gaussian in a row. */
+  readonly splat?: Float32Array;
+}
+
+/** The plain Gaussians of a static scene (9.4), exact, in the order of anchors and kept offsets. */
+export interface Splat {
+  readonly count: number;
+  /** World positions, count by 3. */
+  readonly means: Float32Array;
+  /** Natural logarithms of the lengths of the axes, count by 3. */
+  readonly logLengths: Float32Array;
+  /** Quaternions w, x, y, z of any length above 0, count by 4. */
+  readonly quaternions: Float32Array;
+  /** The opacity is the logistic function of this. */
+  readonly logits: Float32Array;
+  /** Red, green and blue of each spherical harmonic of 14.6, count by header.colour_outputs. */
+  readonly harmonics: Float32Array;
 }
 
 /** A camera of the file (5.17). Invalid cameras (6.15) are skipped. */
@@ -186,6 +203,11 @@ export interface Scene {
   readonly cameras: readonly StatedCamera[];
   /** The metadata of the file by key (5.16 and 6.14), from the sections read so far, as for `cameras`. */
   readonly metadata: ReadonlyMap<string, string>;
+  /**
+   * The Gaussians of a chunk of a static scene, or of all anchors of `decodeAll`. Throws RenderModelError if
+   * header.render_model is not 1, and RangeError if out of memory.
+   */
+  splat(anchors: Anchors): Splat;
   /** Reads all ancillary sections, to complete `cameras` and `metadata`. Only after `open`. */
   readAncillary(): Promise<void>;
   /** The chunks of the file in its order. */
@@ -197,10 +219,11 @@ export interface Scene {
 /** SHA-256, 32 bytes each (9.3). */
 export interface Digests {
   readonly scene: Uint8Array;
+  /** `splat` of a static scene only. */
   readonly parts: Record<
     "positions" | "masks" | "planes" | "features" | "scalings" | "offsets" | "weights",
     Uint8Array
-  >;
+  > & { readonly splat?: Uint8Array };
 }
 
 export interface Whole {
@@ -244,7 +267,7 @@ export type Viewpoint =
   | StatedCamera
   | Placed;
 
-/** Gaussians of a view (14.3), in the order of anchors and offsets. Only the first `count` rows are valid. */
+/** Gaussians of a view (14.3 or 14.6), in the order of anchors and offsets. Only the first `count` rows are valid. */
 export interface View {
   count: number;
   /** Means in the scene's world, count by 3. */
@@ -253,7 +276,10 @@ export interface View {
   readonly scales: Float32Array;
   /** Quaternions w, x, y, z of length 1, count by 4. */
   readonly rotations: Float32Array;
-  /** Red, green and blue from 0 to 1, count by 3. `transfer_characteristics` of the header states their encoding. */
+  /**
+   * Red, green and blue from 0 to 1, count by 3. In a static scene they can be above 1, and blended values are limited
+   * to 1. `transfer_characteristics` of the header states their encoding.
+   */
   readonly colours: Float32Array;
   /** Above 0, at most 1. */
   readonly opacities: Float32Array;
@@ -282,10 +308,13 @@ export interface Added {
 }
 
 /**
- * The Gaussians of a scene, from any place (14.3). The networks run in WebAssembly, where the scene was decoded.
+ * The Gaussians of a scene, from any place (14.3 and 14.6). The networks run in WebAssembly, where the scene was
+ * decoded, and those of a static scene in JavaScript.
  *
  * Values that do not depend on the place are computed once, when a chunk is added. They take 12 bytes times
- * header.render_width plus 32 bytes per anchor, and 13 bytes per kept offset. They are released with the scene.
+ * header.render_width plus 32 bytes per anchor, and 13 bytes per kept offset. In a static scene only colours depend on
+ * the place, and the values take 4 bytes per anchor, and 45 bytes plus 4 times header.colour_outputs per kept offset.
+ * They are released with the scene.
  *
  *     const gaussians = new Gaussians(scene);
  *     const index = gaussians.add(chunk);
@@ -294,7 +323,7 @@ export interface Added {
 export class Gaussians {
   /**
    * scene: from `decode`, `decodeAll`, `open` or a chunk. maxMemory: for decoding and added chunks together. Throws
-   * RenderModelError if header.render_model is not 0.
+   * RenderModelError if header.render_model is not 0 or 1.
    */
   constructor(scene: Scene, options?: Pick<Options, "maxAnchors" | "maxMemory">);
   readonly scene: Scene;

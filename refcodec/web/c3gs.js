@@ -3,12 +3,14 @@ import { ancillaryReader } from "./ancillary.js";
 import { checkBounds, checkBytes } from "./bounds.js";
 import { chunkError, entries, parseIndex, readChunk } from "./chunks.js";
 import {
-  checkData, checkEnd, features, isAncillary, parseFrame, passSection, readHeader, readSection,
+  checkData, checkEnd, features, isAncillary, isStatic, parseFrame, passSection, readHeader, readSection,
 } from "./container.js";
 import { Digests } from "./digests.js";
+import { RenderModelError } from "./errors.js";
 import { loadKernel, shareKernel } from "./kernel.js";
 import { parsePlanes } from "./planes.js";
 import { sourceOf } from "./source.js";
+import { rowsOf, Splatter } from "./splat.js";
 import { parseWeights } from "./weights.js";
 
 export { cameraMatrix, centreOf, projectionMatrix, uprightMatrix } from "./camera.js";
@@ -33,6 +35,7 @@ class Scene {
   #options;
   #index;
   #tables;
+  #splatter;
   #whole;
 
   constructor(source, kernel, options, header) {
@@ -70,6 +73,7 @@ class Scene {
     }
     this.layers = weights.layers.map(({ network, outputs, inputs, values }) => ({ network, outputs, inputs, values }));
     this.#kernel.makeScene(this.header, weights, { ...this.#index, frame, planes: this.planes });
+    if (isStatic(this.header)) this.#splatter = new Splatter(this, weights.layers);
     return this;
   }
 
@@ -78,6 +82,11 @@ class Scene {
     const read = ancillaryReader(section, this.#options);
     if (read === undefined) await passSection(this.#source, section);
     else read(await readSection(this.#source, section), this);
+  }
+
+  splat(anchors) {
+    if (this.#splatter === undefined) throw new RenderModelError(this.header.render_model, "only 1 is static");
+    return this.#splatter.splat(anchors);
   }
 
   async readAncillary() {
@@ -198,7 +207,10 @@ async function* run(input, options, begun) {
     begun?.(scene);
     const digests = options.digests ? scene.digests() : undefined;
     for await (const chunk of scene.chunks()) {
-      if (digests !== undefined) chunk.digest = digests.add(chunk);
+      if (digests !== undefined) {
+        if (isStatic(scene.header)) chunk.splat = rowsOf(scene.splat(chunk));
+        chunk.digest = digests.add(chunk);
+      }
       yield chunk;
     }
     await scene.close();
@@ -234,7 +246,7 @@ export async function decodeAll(input, options = {}) {
   for (;;) {
     const { value, done } = await decoding.next();
     if (!done) {
-      if (whole === undefined) chunks.push(value);
+      if (whole === undefined) chunks.push({ ...value, splat: undefined });
       continue;
     }
     const anchors = { count: value.scene.header.anchor_count, ...whole };

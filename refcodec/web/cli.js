@@ -14,7 +14,7 @@ import * as fs from "node:fs";
 import * as path from "node:path";
 import * as readline from "node:readline";
 import { C3gsError, decode, Gaussians, RenderModelError } from "./c3gs.js";
-import { PARTS, sceneHead } from "./digests.js";
+import { anchorParts, partsOf, sceneHead } from "./digests.js";
 
 const EXIT = { done: 0, refused: 1, unsupported: 2, usage: 64, fault: 70 };
 
@@ -40,15 +40,16 @@ function write(file, data, at) {
 }
 
 // The offset of each part of the reconstruction in the output (vectors/README.md), after head and digests.
-function partPlaces({ header, features, planes }, start) {
+function partPlaces({ header, features, planes, layers }) {
   const [n, k] = [header.anchor_count, header.offset_count];
   const sizes = {
     positions: 12 * n, masks: k * n, planes: planes.byteLength, features: 4 * features * n, scalings: 24 * n,
-    offsets: 12 * k * n,
+    offsets: 12 * k * n, weights: layers.reduce((sum, { values }) => sum + values.byteLength, 0),
   };
+  const parts = partsOf(header);
   const places = {};
-  let at = start;
-  for (const name of PARTS) {
+  let at = sceneHead(header).length + 32 * parts.length;
+  for (const name of parts) {
     places[name] = at;
     at += sizes[name] ?? 0;
   }
@@ -60,14 +61,14 @@ async function reconstruct(input, output) {
   const chunks = decode(fileSource(input), { digests: true });
   let places;
   const place = (scene) => {
-    places ??= partPlaces(scene, sceneHead(scene.header).length + 32 * PARTS.length);
+    places ??= partPlaces(scene);
     return places;
   };
   for (;;) {
     const { value, done } = await chunks.next();
     const at = place(value.scene);
     if (!done) {
-      for (const name of ["positions", "masks", "features", "scalings", "offsets"]) {
+      for (const name of anchorParts(value.scene.header)) {
         write(output, value[name], at[name]);
         at[name] += value[name].byteLength;
       }
@@ -76,7 +77,7 @@ async function reconstruct(input, output) {
     const { scene, digests } = value;
     const head = sceneHead(scene.header);
     write(output, head, 0);
-    PARTS.forEach((name, i) => write(output, digests.parts[name], head.length + 32 * i));
+    partsOf(scene.header).forEach((name, i) => write(output, digests.parts[name], head.length + 32 * i));
     write(output, scene.planes, at.planes);
     for (const { values } of scene.layers) {
       write(output, values, at.weights);

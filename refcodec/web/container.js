@@ -52,6 +52,9 @@ const FEATURES_MAX = 128;
 // 5.8: the rendering networks
 export const RENDERING = ["opacity", "covariance", "colour"];
 
+// 6.5: the render model of static scenes
+const STATIC = 1;
+
 // 5.7 to 5.14: the types of the critical sections in order, and those with a mode 1 (6.6)
 const CRITICAL = ["FRAM", "WGTS", "PLNS", "INDX", "DATA"];
 const MODE_1 = ["WGTS", "INDX"];
@@ -249,9 +252,11 @@ function checkDimensions(h, profile, level) {
   check(h.sarm_layers > 0 === planes, "sarm_layers");
   check(planes || h.frequency_count > 0 || h.hyper_layers === 0, "hyper_layers");
   check(h.slice_count > 1 || h.carm_layers === 0, "carm_layers");
-  // 6.5: render model 0 fixes these two.
+  // 6.5: render models 0 and 1 limit these two.
   check(h.render_model !== 0 || h.view_inputs === 4, "view_inputs");
   check(h.render_model !== 0 || h.colour_outputs === 3, "colour_outputs");
+  check(!isStatic(h) || h.view_inputs === 0, "view_inputs");
+  check(!isStatic(h) || [3, 12, 27, 48].includes(h.colour_outputs), "colour_outputs");
   check(h.plane_size <= level.planeSize, "plane_size");
 }
 
@@ -264,6 +269,16 @@ function checkRenderInfo(h) {
   check(h.distance_unit > 0, "distance_unit");
   check(h.alpha_max > 0 && h.alpha_max <= 1, "alpha_max");
   check(h.low_pass >= 0, "low_pass");
+}
+
+// 6.5
+export function isStatic(h) {
+  return h.render_model === STATIC;
+}
+
+// 9.4: the numbers of a Gaussian of a static scene
+export function splatWidth(h) {
+  return 11 + h.colour_outputs;
 }
 
 // 6.3: F, and D
@@ -308,7 +323,10 @@ export function carmInputs(h) {
 
 // 11.2: below 2^46, thus exact as a number
 function work(h) {
-  const anchor = weightCount(h, (name) => name === "hyper" || name.startsWith("carm")) + 16 * attributeChannels(h);
+  const counted = (name) => {
+    return name === "hyper" || name.startsWith("carm") || (h.view_inputs === 0 && RENDERING.includes(name));
+  };
+  const anchor = weightCount(h, counted) + 16 * attributeChannels(h);
   const points = 5 * h.plane_channels * h.plane_size ** 2;
   return h.anchor_count * anchor + points * (weightCount(h, (name) => name === "sarm") + 16);
 }

@@ -1,8 +1,19 @@
 // The digests of the canonical reconstruction (SPEC.md 9.3), chunk by chunk.
+import { isStatic } from "./container.js";
 
-export const PARTS = ["positions", "masks", "planes", "features", "scalings", "offsets", "weights"];
+const PARTS = ["positions", "masks", "planes", "features", "scalings", "offsets", "weights"];
 // The parts of anchors.
 const OF_ANCHORS = ["positions", "masks", "features", "scalings", "offsets"];
+// The last part of a static scene (9.4).
+const SPLAT = "splat";
+
+export function partsOf(header) {
+  return isStatic(header) ? [...PARTS, SPLAT] : PARTS;
+}
+
+export function anchorParts(header) {
+  return isStatic(header) ? [...OF_ANCHORS, SPLAT] : OF_ANCHORS;
+}
 
 const ascii = (text) => Uint8Array.from(text, (letter) => letter.charCodeAt(0));
 // 2.3
@@ -24,17 +35,18 @@ function chunkHead(count, header, features) {
 
 export class Digests {
   constructor(kernel, scene) {
-    Object.assign(this, { kernel, scene, hashes: new Map(PARTS.map((name) => [name, kernel.makeHash()])) });
+    this.parts = partsOf(scene.header);
+    Object.assign(this, { kernel, scene, hashes: new Map(this.parts.map((name) => [name, kernel.makeHash()])) });
     kernel.addToHash(this.hashes.get("planes"), scene.planes);
     for (const { values } of scene.layers) kernel.addToHash(this.hashes.get("weights"), values);
   }
 
-  // Adds the next chunk, and returns its digest.
+  // Adds the next chunk, and returns its digest. Its parts are in it by name.
   add(chunk) {
     const { header, features } = this.scene;
     const own = this.kernel.makeHash();
     this.kernel.addToHash(own, chunkHead(chunk.count, header, features));
-    for (const name of OF_ANCHORS) {
+    for (const name of anchorParts(header)) {
       this.kernel.addToHash(own, chunk[name]);
       this.kernel.addToHash(this.hashes.get(name), chunk[name]);
     }
@@ -43,10 +55,10 @@ export class Digests {
 
   // Returns the digest of the scene, and of each part by name, 32 bytes each.
   end() {
-    const parts = Object.fromEntries(PARTS.map((name) => [name, this.kernel.endHash(this.hashes.get(name))]));
+    const parts = Object.fromEntries(this.parts.map((name) => [name, this.kernel.endHash(this.hashes.get(name))]));
     const whole = this.kernel.makeHash();
     this.kernel.addToHash(whole, sceneHead(this.scene.header));
-    for (const name of PARTS) this.kernel.addToHash(whole, parts[name]);
+    for (const name of this.parts) this.kernel.addToHash(whole, parts[name]);
     return { scene: this.kernel.endHash(whole), parts };
   }
 }

@@ -106,10 +106,10 @@ export class BoundPassedError extends Error {
   }
 }
 
-// Thrown for a scene that cannot be drawn. It is not a verdict on the file.
+// Thrown for a scene of another render model. It is not a verdict on the file.
 export class RenderModelError extends Error {
-  constructor(model) {
-    super(`render_model is ${model}, but this version draws only 0; use a later version (SPEC.md 6.5)`);
+  constructor(model, why = "this version draws only 0 and 1; use a later version") {
+    super(`render_model is ${model}, but ${why} (SPEC.md 6.5)`);
     this.name = "RenderModelError";
   }
 }

@@ -1,8 +1,10 @@
-// The Gaussians that are visible from a place (SPEC.md 14.3).
+// The Gaussians that are visible from a place (SPEC.md 14.3 and 14.6).
 import { checkBounds, gaussiansBytes } from "./bounds.js";
 import { centreOf } from "./camera.js";
+import { isStatic } from "./container.js";
 import { RenderModelError } from "./errors.js";
 import { kernelOf, VIEW } from "./kernel.js";
+import { StaticRenderer } from "./splat.js";
 
 // Anchors per kernel call. A scene may be too large for two copies in memory.
 const PIECE = 4096;
@@ -46,19 +48,57 @@ function change({ low, high }, before, now) {
   return way / Math.max(away, among);
 }
 
-export class Gaussians {
+// Draws anchors of a scene with render model 0, for Gaussians. `at`: their address in the kernel.
+class NetworkRenderer {
   #kernel;
   #renderer;
-  // For each chunk: its address in the kernel, its slots, and the place of its last view.
+
+  constructor(scene) {
+    this.#kernel = kernelOf(scene);
+    this.#renderer = this.#kernel.makeRenderer(scene);
+  }
+
+  add(chunk, arrays, kept) {
+    const { count } = chunk;
+    const at = this.#kernel.makeAnchors(this.#renderer, count, kept);
+    try {
+      for (let from = 0; from < count; from += PIECE) {
+        const to = Math.min(from + PIECE, count);
+        const piece = arrays.map(([array, width]) => array.subarray(from * width, to * width));
+        this.#kernel.addAnchors(this.#renderer, at, to - from, piece);
+      }
+    } catch (error) {
+      this.#kernel.release(at);
+      throw error;
+    }
+    return at;
+  }
+
+  release(at) {
+    this.#kernel.release(at);
+  }
+
+  // As in StaticRenderer.
+  draw(at, slots, start, end, place, first, view) {
+    const found = this.#kernel.draw(this.#renderer, at, start, end, place, first, slots[end] - slots[start]);
+    for (const [name, [, width]] of Object.entries(VIEW)) view[name].set(found[name], width * view.count);
+    view.count += found.count;
+  }
+}
+
+export class Gaussians {
+  #renderer;
+  // For each chunk: what the renderer keeps of it, its slots, and the place of its last view.
   #own = [];
   #options;
 
   constructor(scene, options = {}) {
     this.#options = options;
-    this.#kernel = kernelOf(scene);
+    kernelOf(scene);
+    const { header } = scene;
     // [G6.5-1]
-    if (scene.header.render_model !== 0) throw new RenderModelError(scene.header.render_model);
-    this.#renderer = this.#kernel.makeRenderer(scene);
+    if (header.render_model !== 0 && !isStatic(header)) throw new RenderModelError(header.render_model);
+    this.#renderer = isStatic(header) ? new StaticRenderer(scene) : new NetworkRenderer(scene);
     this.scene = scene;
     this.chunks = [];
     this.anchorCount = 0;
@@ -81,27 +121,17 @@ export class Gaussians {
     const [start, slot] = [this.anchorCount, this.slotCount];
     const { header } = this.scene;
     checkBounds(this.#options, header, 0, gaussiansBytes(header, start + count, slot + kept));
-    const at = this.#kernel.makeAnchors(this.#renderer, count, kept);
-    try {
-      for (let from = 0; from < count; from += PIECE) {
-        const to = Math.min(from + PIECE, count);
-        const piece = arrays.map(([array, width]) => array.subarray(from * width, to * width));
-        this.#kernel.addAnchors(this.#renderer, at, to - from, piece);
-      }
-    } catch (error) {
-      this.#kernel.release(at);
-      throw error;
-    }
+    const drawn = this.#renderer.add(chunk, arrays, kept);
     const { number, first = 0 } = chunk;
     this.chunks.push({ number, start, end: start + count, kept, slot, ...boundsOf(chunk.positions) });
-    this.#own.push({ at, slots, first, seen: undefined });
+    this.#own.push({ drawn, slots, first, seen: undefined });
     this.anchorCount += count;
     this.slotCount += kept;
     return this.chunks.length - 1;
   }
 
   clear() {
-    for (const { at } of this.#own) this.#kernel.release(at);
+    for (const { drawn } of this.#own) this.#renderer.release(drawn);
     this.#own = [];
     this.chunks = [];
     this.anchorCount = 0;
@@ -134,19 +164,12 @@ export class Gaussians {
     for (const [i, chunk] of this.chunks.entries()) {
       const last = Math.min(end, chunk.end);
       for (let at = Math.max(start, chunk.start); at < last; at += PIECE) {
-        this.#draw(i, at - chunk.start, Math.min(at + PIECE, last) - chunk.start, place, view);
+        const { drawn, slots, first } = this.#own[i];
+        const [low, high] = [at - chunk.start, Math.min(at + PIECE, last) - chunk.start];
+        this.#renderer.draw(drawn, slots, low, high, place, first, view);
       }
     }
     return out ?? trimmed(view);
-  }
-
-  // Appends the Gaussians of some anchors of a chunk to a view.
-  #draw(index, start, end, place, view) {
-    const { at, slots, first } = this.#own[index];
-    const room = slots[end] - slots[start];
-    const found = this.#kernel.draw(this.#renderer, at, start, end, place, first, room);
-    for (const [name, [, width]] of Object.entries(VIEW)) view[name].set(found[name], width * view.count);
-    view.count += found.count;
   }
 
   slotOf(anchor) {

@@ -1,15 +1,14 @@
-// The weights of all networks, and the integers of the networks of the entropy model (SPEC.md 5.8, 5.9, 6.8, 7.2 and
-// 7.13).
-import { Cursor, carmInputs, isZero, layers, pad4, RENDERING } from "./container.js";
+// The weights of all networks, and the integers of the integer networks (SPEC.md 5.8, 5.9, 6.8, 7.2 and 7.13).
+import { Cursor, carmInputs, isStatic, isZero, layers, pad4, RENDERING } from "./container.js";
 import { errorOfCode, need } from "./errors.js";
-import { power } from "./numbers.js";
+import { power, roundScaled } from "./numbers.js";
 
 // 2.5
 const PLANE_SHIFT_MAX = 10;
 const CARM_SHIFT_MAX = 16;
 const WEIGHT_EXPONENT_MIN = -104;
 const WEIGHT_EXPONENT_MAX = 149;
-const ACTIVATION_MAX = 1023;
+export const ACTIVATION_MAX = 1023;
 const WEIGHT_MAX = 1023;
 const ACCUMULATOR_BOUND = 2 ** 24;
 const EXPONENT_MAX = 20;
@@ -19,7 +18,8 @@ const MODEL_LENGTH = 8;
 // [R6.8-1] to [R6.8-8] in the order of 10.1. data: the section. start: its offset. kernel: decodes packed weights.
 //
 // Returns planeShift, carmShift, `layers` with the values of each layer in file order, and for the kernel `coding` and
-// `shapes`: the integers of F_h, SARM and CARM, layer by layer, and the numbers of outputs and inputs of each.
+// `shapes`: the integers of the integer networks, layer by layer, and the numbers of outputs and inputs of each. `rows`
+// of their layers are views of these integers.
 export function parseWeights(data, start, mode, header, kernel) {
   const inputs = carmInputs(header);
   const first = pad4(2 + inputs);
@@ -33,7 +33,7 @@ export function parseWeights(data, start, mode, header, kernel) {
   const list = layers(header).map((layer) => ({ ...layer, form: 0, values: undefined }));
   if (mode === 0) readRaw(list, data, first, start);
   else readPacked(list, data, first, start, header, kernel);
-  return { planeShift, carmShift, layers: list, ...derive(list, mode) };
+  return { planeShift, carmShift, layers: list, ...derive(list, mode, header) };
 }
 
 // A copy of the layer values, bit for bit
@@ -139,15 +139,19 @@ function packedLayer({ outputs, inputs, exponent }, differences, weights, biases
   return first && exponent !== 0 ? undefined : values;
 }
 
-// [R6.8-4] and 7.2
-function derive(list, mode) {
-  const coded = list.filter(({ network }) => !RENDERING.includes(network));
+// [R6.8-4] and 7.2. The kernel ignores the rendering networks of a static scene, which are last.
+function derive(list, mode, header) {
+  const coded = list.filter(({ network }) => isStatic(header) || !RENDERING.includes(network));
   const rows = coded.reduce((sum, { outputs }) => sum + outputs, 0);
   const weights = coded.reduce((sum, { outputs, inputs }) => sum + outputs * inputs, 0);
   const coding = { weight: new Int16Array(weights), bias: new Int32Array(rows), exponent: new Uint8Array(rows) };
   let [row, at] = [0, 0];
   for (const layer of coded) {
     const { outputs, inputs, values } = layer;
+    layer.rows = {
+      weight: coding.weight.subarray(at, at + outputs * inputs), bias: coding.bias.subarray(row, row + outputs),
+      exponent: coding.exponent.subarray(row, row + outputs),
+    };
     for (let r = 0; r < outputs; r++, row++, at += inputs) {
       const own = values.subarray(r * inputs, (r + 1) * inputs);
       const right = deriveRow(own, values[outputs * inputs + r], coding, row, at);
@@ -155,12 +159,6 @@ function derive(list, mode) {
     }
   }
   return { coding, shapes: Int32Array.from(coded.flatMap(({ outputs, inputs }) => [outputs, inputs])) };
-}
-
-// ROUND_SCALED: floor(x * unit + 1/2). x * unit has 24 bits, thus it is exact in binary64. The sum is exact too,
-// except for small and large numbers, where the rounded sum has the same floor.
-function roundScaled(x, unit) {
-  return Math.floor(x * unit + 0.5);
 }
 
 // DERIVE_ROW: writes a row's integers, and returns whether it has an exponent

@@ -160,7 +160,7 @@ def test_other_render_models_are_decoded_but_not_drawn(decoder: Decoder, tmp_pat
     """The header has the fields of RenderInfo and the numbers of the rendering networks."""
     data, message = (
         codec.emit(UNDRAWN),
-        "render_model is 7, but this version draws only 0; use a later version (SPEC.md 6.5)",
+        "render_model is 7, but this version draws only 0 and 1; use a later version (SPEC.md 6.5)",
     )
     assert decoder.verdict(data) == (digest(UNDRAWN)[0], -1)
     said = decoder.ask(data, "drawing")

@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import refcodec
+from conformance.cases import static
 from conformance.cases.scenes import random_scene
 from conformance.manifest import VECTORS
 from refcodec import statuses
@@ -20,10 +21,11 @@ from refcodec.bitstream.cameras import NamedCamera, rotation_matrix
 from refcodec.bitstream.codec import parse
 from refcodec.bitstream.header import RenderInfo
 from refcodec.bitstream.reconstruction import Reconstruction, digest, reconstruct
+from refcodec.bitstream.reconstruction import gaussians as splat_of
 from refcodec.bitstream.scene import Scene
 from refcodec.cli.main import main
 from refcodec.render.camera import Camera, default_camera
-from refcodec.render.gaussians import Gaussians, gaussians
+from refcodec.render.gaussians import Gaussians, gaussians, static_gaussians
 from refcodec.render.view import View
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -364,3 +366,25 @@ def test_another_render_model_is_decoded_but_not_drawn(capsys: pytest.CaptureFix
         opened.decode().gaussians()
     assert main(["render", str(file), "-o", str(tmp_path / "images")]) == statuses.USAGE
     assert "use a later version" in capsys.readouterr().err
+
+
+@pytest.mark.requirement("G14.6-1")
+@pytest.mark.parametrize("degree", range(4))
+def test_static_gaussians_are_those_of_the_text(spec: dict, degree: int) -> None:
+    """From a camera among the anchors, in both precisions. At the mean itself the direction is zero."""
+    scene = parse(static.of_degree(degree)).scene
+    numbers = splat_of(scene)
+    _, _, camera = scene_of(3)
+    for place in (camera.centre, numbers[0, :3].astype(np.float64)):
+        moved = replace(camera, translation=-camera.rotation @ place)
+        wanted = [spec["STATIC_GAUSSIAN"](row, list(moved.centre)) for row in numbers.astype(np.float64).tolist()]
+        compared(static_gaussians(numbers, scene.masks, moved, np.float64), wanted, 1e-9)
+        compared(static_gaussians(numbers, scene.masks, moved), wanted, 1e-4)
+    assert len(View(scene).gaussians(camera).mean) == scene.masks.sum()
+
+
+def test_what_reads_the_view_takes_no_static_scene(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = VECTORS / "valid" / "static-degree-1.c3gs"
+    for words in (["export", str(file), "-o", str(tmp_path / "a.ply")], ["export", "--scaffold", str(file), "-o", "x"]):
+        assert main(words) == statuses.USAGE
+        assert "must have 0" in capsys.readouterr().err

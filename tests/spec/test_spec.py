@@ -295,6 +295,8 @@ def test_the_figures_of_security() -> None:
         f"{memory('one chunk, as it is decoded') * chunk / 1e6:.1f} MB, with {chunk:,} anchors"
     )
     assert printed["values of one chunk"][1] == f"{memory('values of one chunk') * chunk / 1e6:.1f} MB"
+    each = printed["Gaussians of one chunk of a static scene"]
+    assert each[1] == f"{chunk * d.offset_count * (44 + 4 * d.colour_outputs) / 1e6:.1f} MB"
     text = " ".join(section("13.1").split())
     highest = max(PROFILES[1].levels)
     anchors = PROFILES[1].levels[highest].anchors
@@ -308,7 +310,7 @@ def test_the_figures_of_security() -> None:
     assert f"take at most {', '.join(times[:-1])} and {times[-1]}, and up to {more / 1e9:.0f} s more" in manual
     assert f"A file of {anchors / 16 / 1e6 + 16 * anchors / chunk / 1e6:.1f} MB" in text
     bound = next(bound for quantity, _, bound, *_ in rows(section("7.11")) if quantity == "work")
-    assert eval(bound.replace("^", "**")) == work(d, anchors)
+    assert eval(bound.replace("^", "**")) == work(replace(d, view_inputs=0), anchors)
 
 
 def test_the_largest_sums_of_the_widths(spec: dict) -> None:
