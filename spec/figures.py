@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from typing import Any
 
 from conformance import spec_decoder
+from refcodec.bitstream.syntax import SYNTAX, parse_elements, size_of
 
 from .made import ROOT, Made
 
@@ -63,9 +65,101 @@ class Drawing:
         for i, value in enumerate(lines):
             self.words(x + w / 2, top + 16 * i, value, 13 if i == 0 else 11, bold=i == 0)
 
+    def strip(self, x: float, y: float, parts: list[tuple[str, list[str], float]]) -> None:
+        """Draws adjacent boxes. parts: the offset above a left edge, the lines (none: padding), the width."""
+        for offset, lines, width in parts:
+            self.labelled(x, y, width, 46, lines, LIGHT if lines else FAINT)
+            if offset:
+                self.words(x + 1, y - 5, offset, 11, "start")
+            x += width
+
+    def zoom(self, x: float, w: float, y: float, to_x: float, to_w: float, to_y: float) -> None:
+        """Joins the lower edge of a box, from (x, y), to the upper edge of its enlargement, from (to_x, to_y)."""
+        points = f"{x:g},{y:g} {x + w:g},{y:g} {to_x + to_w:g},{to_y:g} {to_x:g},{to_y:g}"
+        self.parts.append(f'<polygon points="{points}" fill="{FILL}"/>')
+
     def svg(self) -> str:
         """Returns the file."""
         return "\n".join([*self.parts, "</svg>"]) + "\n"
+
+
+def first_bytes(name: str, at: int = 0) -> dict[str, int]:
+    """Returns the offset of each field of a struct that starts at byte `at`, with each length that it states 0."""
+    starts: dict[str, int] = {}
+    for element in parse_elements(name, bytes(1000), at):
+        starts.setdefault(re.split(r"[.[]", element.path)[0], element.start)
+    return starts
+
+
+def scalar_size(kind: str) -> int:
+    """Returns the bytes of a scalar such as u16, or of one item of an array of them."""
+    return int(kind.partition("[")[0][1:]) // 8
+
+
+def layout(space: dict[str, Any]) -> str:
+    """Returns the picture of the bytes of a file, of its header, of a chunk and of a substream."""
+    del space
+    d = Drawing(1000, 472, "The bytes of a file, of its header, of a chunk and of a substream")
+    rows = (50, 152, 254, 356)
+    d.zoom(110, 150, rows[0] + 46, 20, 678, rows[1])
+    d.zoom(760, 220, rows[0] + 46, 724, 256, rows[1])
+    d.zoom(792, 68, rows[1] + 46, 20, 960, rows[2])
+    d.zoom(808, 160, rows[2] + 46, 180, 800, rows[3])
+
+    d.words(20, rows[0] - 24, "file: offsets from its start", 12, "start", bold=True)
+    header = size_of("Prologue")
+    d.strip(20, rows[0], [
+        ("0", ["prologue", f"{header} bytes"], 90),
+        (str(header), ["header", "header_length bytes"], 150),
+        (f"{header} + header_length: the first section", ["FRAM", "frame"], 130),
+        ("", ["WGTS", "weights"], 140),
+        ("", ["PLNS", "planes"], 130),
+        ("", ["INDX", "chunk index"], 100),
+        ("", ["DATA", "chunks"], 220),
+    ])  # fmt: skip
+
+    d.words(20, rows[1] - 24, "header: offsets from the start of the file", 12, "start", bold=True)
+    at = first_bytes("Header", header)
+    grid, render, dimensions = at["position_grid"], at["render_info"], at["dimensions"]
+    arrays = [kind for _, kind in SYNTAX["Dimensions"] if "[" in kind]
+    fixed = sum(scalar_size(kind) for _, kind in SYNTAX["Dimensions"] if kind != "padding" and kind not in arrays)
+    crc = scalar_size(dict(SYNTAX["Header"])["header_crc"])
+    d.strip(20, rows[1], [
+        (str(header), ["profile to base_step", f"{grid - header} bytes"], 162),
+        (str(grid), ["PositionGrid", f"{render - grid} bytes"], 104),
+        (str(render), ["RenderInfo", f"{dimensions - render} bytes"], 98),
+        (str(dimensions), ["Dimensions", f"{fixed} bytes, widths"], 98),
+        ("d", ["directory", f"{size_of('DirectoryEntry')} * section_count"], 116),
+        (f"{header - crc} + header_length", ["header_crc", f"{crc} bytes"], 100),
+    ])  # fmt: skip
+    chunks = [("chunk 0", 68), ("chunk 1", 68), ("...", 24), ("chunk C - 1", 96)]
+    d.strip(724, rows[1], [("", [name], width) for name, width in chunks])
+
+    d.words(20, rows[2] - 24, "chunk: offsets from its start", 12, "start", bold=True)
+    at = first_bytes("Chunk")
+    heads = zip(SYNTAX["Chunk"], (122, 104, 130, 112, 78), strict=True)
+    padding: tuple[str, list[str], float] = ("", [], 12)
+    d.strip(20, rows[2], [
+        *((str(at[field]), [field, kind], width) for (field, kind), width in heads),
+        (str(size_of("Chunk")), ["positions", "f16[3] or Substream"], 134), padding,
+        ("", ["masks", "Substream"], 84), padding,
+        ("", ["attributes", "Substream"], 160), padding,
+    ])  # fmt: skip
+
+    d.words(180, rows[3] - 24, "substream: offsets from its start", 12, "start", bold=True)
+    at, kinds = first_bytes("Substream"), dict(SYNTAX["Substream"])
+    state = str(size_of("Substream"))
+    word = f"{state} + {scalar_size(kinds['state'])} * lanes"
+    raw = f"{word} + {scalar_size(kinds['word'])} * word_count"
+    places = [str(at["symbol_crc"]), str(at["word_count"]), state, word, raw]
+    parts = zip(places, kinds.items(), (120, 120, 160, 190, 210), strict=True)
+    d.strip(180, rows[3], [(place, list(part), width) for place, part, width in parts])
+
+    terms = [f"{scalar_size(kind)} * {kind.partition('[')[2][:-1]}".removeprefix("1 * ") for kind in arrays]
+    d.words(20, 430, f"d = {dimensions} + {fixed} + {' + '.join(terms)}, rounded up to a multiple of 4", 11, "start")
+    d.box(20, 446, 12, 12, FAINT)
+    d.words(38, 456, "padding, 0 to 3 bytes; each section is followed by such padding, too", 11, "start")
+    return d.svg()
 
 
 def planes(space: dict[str, Any]) -> str:
@@ -221,7 +315,7 @@ def contraction(space: dict[str, Any]) -> str:
 
 
 MAKE: dict[str, Callable[[dict[str, Any]], str]] = {
-    "planes": planes, "stages": stages, "substream": substream, "contraction": contraction,
+    "layout": layout, "planes": planes, "stages": stages, "substream": substream, "contraction": contraction,
 }  # fmt: skip
 
 
