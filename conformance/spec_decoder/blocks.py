@@ -795,7 +795,7 @@ def LOGISTIC(x):
 def GAUSSIANS(networks, position, feature, scaling, offsets, mask, centre, distance_unit):
     """Of one anchor, by increasing offset: (mean, axis lengths, quaternion, opacity, colour).
 
-    centre: that of the camera, in the world.
+    offsets: a list of three numbers for each offset; centre: that of the camera, in the world.
     """
     away = [a - b for a, b in zip(position, centre)]
     inputs = list(feature) + NORMALISED(away, [0.0] * 3) + [math.sqrt(sum(x * x for x in away)) / distance_unit]
@@ -845,6 +845,8 @@ def PROJECT(mean, lengths, quaternion, camera, near_plane, low_pass):
     (a, b), (_, c) = PRODUCT(half, [list(row) for row in zip(*half)])
     a, c = a + low_pass, c + low_pass
     d = a * c - b * b
+    if d <= 0:
+        return None
     return fx * x / z + cx, fy * y / z + cy, z, (c / d, -b / d, a / d)
 
 
@@ -861,7 +863,7 @@ def PIXEL(u, v, drawn, background, alpha_max):
             break
         out = [o + left * alpha * x for o, x in zip(out, colour)]
         left *= 1 - alpha
-    return [o + left * g for o, g in zip(out, background)]
+    return [min(o + left * g, 1.0) for o, g in zip(out, background)]
 
 
 # SPEC 14.6

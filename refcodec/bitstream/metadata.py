@@ -21,13 +21,13 @@ KEY = re.compile(r"[a-z0-9._-]+")
 _NUMBER = r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?"
 _VALUES = {
     "date": re.compile(r"\d{4}-\d\d-\d\d[Tt]\d\d:\d\d:\d\d(\.\d+)?([Zz]|[+-]\d\d:\d\d)", re.ASCII),
-    "unit": re.compile(_NUMBER, re.ASCII),
+    "unit": re.compile(rf"(?!-)(?=[^eE]*[1-9]){_NUMBER}", re.ASCII),
     "georeference": re.compile(rf"\s*{_NUMBER}(\s+{_NUMBER}){{15}}\s*", re.ASCII),
 }
 
 _ALLOWED = {
     "date": "a date and time of RFC 3339",
-    "unit": "a decimal number",
+    "unit": "a decimal number above 0",
     "georeference": "16 decimal numbers",
 }
 

@@ -238,4 +238,6 @@ def image(g: Gaussians, camera: Camera, info: RenderInfo) -> F32:
     """SPEC 14.5: returns the image of a camera, f32[H,W,3], 1 for white. Raises ValueError as rasterise."""
     red, green, blue = info.background
     settings = Settings(info.low_pass, info.near_plane, info.alpha_max, (red / 255, green / 255, blue / 255))
-    return rasterise(g.mean, g.quaternion, g.lengths, g.opacity, g.colour, camera, settings).image
+    made = rasterise(g.mean, g.quaternion, g.lengths, g.opacity, g.colour, camera, settings).image
+    # SPEC 14.6: harmonics can give colours above 1.
+    return np.minimum(made, np.float32(1))

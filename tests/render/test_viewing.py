@@ -98,7 +98,7 @@ def test_what_is_no_camera_draws_nothing(wrong: dict[str, Any], monkeypatch: pyt
     scene = refcodec.decode(EXAMPLE)
     camera = replace(scene.camera, **wrong)
     monkeypatch.setattr("refcodec.render.view.gaussians", pytest.fail)
-    monkeypatch.setattr("refcodec.api.scenes.gaussians", pytest.fail)
+    monkeypatch.setattr("refcodec.api.scenes.gaussians_of", pytest.fail)
     for use in (scene.render, scene.gaussians, partial(refcodec.render, scene)):
         with pytest.raises(ValueError, match=r"image|focal|rotation|translation"):
             use(camera)
