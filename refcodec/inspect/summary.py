@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..bitstream.ancillary import TYPES
 from ..bitstream.chunks import PARTS as CHUNK_PARTS
-from ..bitstream.dimensions import mask_contexts
+from ..bitstream.dimensions import STATIC, mask_contexts
 from ..bitstream.directory import DATA, FRAME, INDEX, PLANES_SECTION, WEIGHTS
 from ..bitstream.errors import BitstreamError
 from ..bitstream.header import PROLOGUE_BYTES
@@ -225,6 +225,10 @@ def _header_lines(facts: dict[str, Any], h: dict[str, Any]) -> Iterator[str]:
     yield f"planes       5 of {size}, {d['frequency_count']} frequencies"
     hidden = ", ".join(f"{n} {widths(d[f'{n}_width'])}" for n in ("hyper", "sarm", "carm"))
     yield f"networks     hidden {hidden}, render {d['render_width']}"
+    # SPEC 6.5: most scenes are view-dependent.
+    if model := h["render_info"]["render_model"]:
+        degree = math.isqrt(d["colour_outputs"] // 3) - 1
+        yield f"render model {model}" + (f", static, harmonics of degree {degree}" if model == STATIC else "")
     yield "lanes        " + ", ".join(
         f"{part}s {1 << h[f'{part}_lanes_log2']}" for part in ("plane", "mask", "attribute")
     )

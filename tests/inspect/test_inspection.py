@@ -22,6 +22,7 @@ from refcodec.bitstream.reader import Reader
 from refcodec.bitstream.reconstruction import digest
 from refcodec.bitstream.scene import Ancillary
 from refcodec.bitstream.source import WholeFile
+from refcodec.cli.main import main
 from refcodec.inspect import anchor, dump, elements, summary, trace
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -249,3 +250,12 @@ def test_an_anchor_is_shown_as_in_the_text() -> None:
     for number in (-1, scene.anchor_count):
         with pytest.raises(IndexError):
             list(anchor.anchor_rows(scene, number))
+
+
+def test_a_static_scene_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+    for name, line in (
+        ("static-degree-2", "render model 1, static, harmonics of degree 2"),
+        ("render-model-2", "render model 2"),
+    ):
+        assert main(["inspect", str(ROOT / "vectors" / "valid" / f"{name}.c3gs")]) == 0
+        assert f"\n{line}\n" in capsys.readouterr().out
