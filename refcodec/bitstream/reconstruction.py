@@ -127,7 +127,9 @@ def gaussians(scene: Scene, r: Reconstruction | None = None) -> F32:
 
     r: the values of the scene, if known.
     """
-    return splat(derive_rendering(scene.networks), reconstruct(scene) if r is None else r, scene.masks)
+    r = reconstruct(scene) if r is None else r
+    networks = derive_rendering(scene.networks)
+    return splat(networks, r.positions, r.features, r.scalings, r.offsets, scene.masks)
 
 
 def weight_part(scene: Scene) -> bytes:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,9 +10,6 @@ from numpy.typing import NDArray
 from .conventions import F32, Int64, round_to_f32
 from .dimensions import RENDERING
 from .networks import ACTIVATION_MAX, IntNetwork, Layer, derive_networks
-
-if TYPE_CHECKING:
-    from .reconstruction import Reconstruction
 
 # SPEC 2.5 and 9.4
 OUTPUT_BITS, SCALING_BITS = 12, 16
@@ -49,26 +45,34 @@ def exponential(t: Int64) -> tuple[Int64, Int64]:
 
 
 # SPEC 9.4
-def splat(networks: Mapping[str, IntNetwork], r: Reconstruction, masks: NDArray[np.bool_]) -> F32:
+def splat(
+    networks: Mapping[str, IntNetwork],
+    positions: F32,
+    features: F32,
+    scalings: F32,
+    offsets: F32,
+    masks: NDArray[np.bool_],
+) -> F32:
     """SPEC 9.4, SPLAT: returns the Gaussians of some anchors, float32 [kept offsets, 11 + colour_outputs].
 
-    networks: the result of derive_rendering. r: the values of the anchors. masks: bool [n, K].
+    networks: the result of derive_rendering. positions, features, scalings, offsets: the values of the anchors, as in
+    Reconstruction. masks: bool [n, K].
     """
     count, k = masks.shape
-    inputs = _fixed(r.features, 0, ACTIVATION_MAX)
+    inputs = _fixed(features, 0, ACTIVATION_MAX)
     outputs = (networks[name](inputs).astype(np.int64) for name in RENDERING)
     opacity, covariance, colour = (each.reshape(count, k, each.shape[1] // k) for each in outputs)
     anchor, offset = np.nonzero(masks)
-    s = _fixed(r.scalings, SCALING_BITS, SCALING_BOUND)[anchor]
+    s = _fixed(scalings, SCALING_BITS, SCALING_BOUND)[anchor]
     c = covariance[anchor, offset]
     m, n = exponential(s[:, :3])
     # A significand of 24 bits, as an integer.
-    significand, exponent = np.frexp(r.offsets[anchor, offset].astype(np.float64))
+    significand, exponent = np.frexp(offsets[anchor, offset].astype(np.float64))
     own = np.ldexp(significand, 24).astype(np.int64)
     # SPEC 9.2: an offset is zero or at least 2^-64, so that no product is subnormal.
     shift = np.ldexp((own * m).astype(np.float32), n + exponent - 24)
     # Exact in float64 or rounded to more than twice the bits of a float32, and thus rounded once. -0 becomes +0.
-    mean = (r.positions[anchor].astype(np.float64) + shift.astype(np.float64)).astype(np.float32) + np.float32(0)
+    mean = (positions[anchor].astype(np.float64) + shift.astype(np.float64)).astype(np.float32) + np.float32(0)
     quaternion = c[:, 3:]
     quaternion[~quaternion.any(axis=1)] = [1 << OUTPUT_BITS, 0, 0, 0]
     others = np.concatenate([quaternion, opacity[anchor, offset], colour[anchor, offset]], axis=1)

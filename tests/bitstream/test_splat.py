@@ -26,7 +26,7 @@ def test_integers_and_float32_give_the_same_gaussians(exact_float: bool) -> None
         networks = splat.derive_rendering(scene.networks)
         chosen = {name: IntNetwork(network.layers, exact_float, 5) for name, network in networks.items()}
         values = reconstruction.reconstruct(scene)
-        found = splat.splat(chosen, values, scene.masks)
+        found = splat.splat(chosen, *vars(values).values(), scene.masks)
         assert found.tobytes() == reconstruction.gaussians(scene, values).tobytes()
         assert found.shape == (scene.masks.sum(), 11 + scene.dimensions.colour_outputs)
         assert np.isfinite(found).all()
@@ -49,7 +49,7 @@ def test_any_values(spec: dict[str, Any]) -> None:
     values.features[::2] = rng.uniform(-1100, 1100, (count // 2, d.features))
     masks = rng.random((count, d.offset_count)) < 0.7
     networks = splat.derive_rendering(scene.networks)
-    found = splat.splat(networks, values, masks).view(np.uint32)
+    found = splat.splat(networks, *vars(values).values(), masks).view(np.uint32)
     rows = {
         name: [
             list(zip(layer.weight.tolist(), layer.bias.tolist(), layer.exponent.tolist(), strict=True))
