@@ -44,7 +44,7 @@ from refcodec import bitstream
 from refcodec.bitstream import ancillary, codec, context, directory, errors, reconstruction, syntax, tables
 from refcodec.bitstream.attributes import Attributes
 from refcodec.bitstream.chunks import chunk_ranges
-from refcodec.bitstream.dimensions import RENDERING, Dimensions, weight_count, work
+from refcodec.bitstream.dimensions import Dimensions, weight_count, work
 from refcodec.bitstream.errors import BitstreamError
 from refcodec.bitstream.frame import MATRIX_BOUND, TRANSLATION_BOUND, Frame
 from refcodec.bitstream.header import SIGNATURE, Lanes, PositionGrid, RenderInfo
@@ -243,9 +243,9 @@ def test_widths() -> None:
         assert clause in HEADINGS
     assert max(tables.tables().step) <= 60097
     # The most rows and the most inputs of a layer.
-    networks = largest_main().network_shapes().items()
-    shapes = [shape for name, layers in networks if name not in RENDERING for shape in layers]
-    assert max(rows for rows, _ in shapes) == 367
+    networks = replace(largest_main(), view_inputs=0).network_shapes().values()
+    shapes = [shape for layers in networks for shape in layers]
+    assert max(rows for rows, _ in shapes) == 768
     assert max(inputs for _, inputs in shapes) == 128
 
 
