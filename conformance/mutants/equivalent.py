@@ -21,7 +21,7 @@ PROOFS: dict[str, str] = {
         "The phase modulo 2^17 differs from the phase modulo 2^16 by 0 or 2^16, thus the turn by 0 or SINE_LENGTH. "
         "It is used modulo SINE_LENGTH."
     ),
-    "EXPONENTIAL-constant-0048a028": "The lowest bit of y is shifted out.",
+    "EXPONENTIAL-constant-0048a028": "The two differ in the lowest bit of y only, which the shift by 16 drops.",
     "PARSE_HEADER-arguments-0904a40e": "Either takes 20 bytes. The value is not read: an entry is parsed from data.",
     "FIRST_FIELDS-constant-04a16a56": _UNREAD_SIGN,
     "FIRST_FIELDS-constant-07a8ca10": _UNREAD_SIGN,
@@ -31,9 +31,7 @@ PROOFS: dict[str, str] = {
         "tuple. No other use depends on which name comes first."
     ),
     "SHAPES-constant-02fb110b": _ONE_ITEM,
-    "WORK-constant-0b6c273d": _ONE_ITEM,
     "CHECK_HEADER-constant-0ce1f44d": _ONE_ITEM,
     "CHECK_DIRECTORY-constant-0933885a": _ONE_ITEM,
     "PARSE_PLANES-constant-0457e909": _ONE_ITEM,
-    "DECODE_FILE-constant-02b2e566": _ONE_ITEM,
 }
