@@ -14,9 +14,9 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from refcodec.convert.splats import drawn
-from refcodec.export.harmonics import REST, ZERO
 from refcodec.files.interrupts import on_interrupt
 from refcodec.photographs.photographs import PhotographSet
+from refcodec.render.harmonics import REST, ZERO
 from refcodec.render.rasterise import Settings
 from refcodec.train.adam import ADAM_EPSILON
 from refcodec.train.losses import photometric

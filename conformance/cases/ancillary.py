@@ -12,8 +12,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
-from refcodec.bitstream import codec, metadata, syntax
-from refcodec.bitstream.cameras import CAMERAS, NamedCamera, emit_cameras, parse_cameras
+from refcodec.bitstream import codec, metadata
+from refcodec.bitstream.cameras import CAMERAS, NamedCamera, build_camera, emit_cameras, parse_cameras
 from refcodec.bitstream.header import HEADER_LENGTH_MAX, PROLOGUE_BYTES
 from refcodec.bitstream.metadata import METADATA, emit_metadata
 from refcodec.bitstream.scene import Ancillary, Scene
@@ -187,8 +187,7 @@ def _camera(**changes: object) -> bytes:
     fields = {**vars(NamedCamera("first")), **changes}
     name = fields["name"]
     text = name if isinstance(name, bytes) else str(name).encode()
-    fields = {"name_length": len(text), **fields, "name": text, "length": 0}
-    return syntax.build("Camera", {**fields, "length": len(syntax.build("Camera", fields)) - 4})
+    return build_camera({**fields, "name": text})
 
 
 def _longer(camera: bytes, more: bytes) -> bytes:

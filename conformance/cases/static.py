@@ -10,7 +10,7 @@ import numpy as np
 
 from refcodec.bitstream import codec
 from refcodec.bitstream.conventions import round_to_f32
-from refcodec.bitstream.dimensions import RENDERING, STATIC, Dimensions
+from refcodec.bitstream.dimensions import RENDER_MODELS, RENDERING, STATIC, Dimensions
 from refcodec.bitstream.header import PositionGrid, RenderInfo
 from refcodec.bitstream.scene import Scene
 from refcodec.bitstream.splat import SCALING_BOUND, exponential
@@ -21,7 +21,7 @@ from .numbers import Numbers
 from .scenes import SMALLEST, TINY_DIMENSIONS, dyadic, f16, lattice, packed_weights, scene, with_symbols
 from .target import Target
 
-DEGREES = (3, 12, 27, 48)
+DEGREES = RENDER_MODELS[STATIC][1]
 RENDER = RenderInfo(render_model=STATIC)
 
 

@@ -18,7 +18,7 @@ from conformance.cases.target import Target
 from refcodec.bitstream import frame, header, syntax, weights
 from refcodec.bitstream.ancillary import TYPES, AncillaryType
 from refcodec.bitstream.attributes import ATTRIBUTE_SYMBOL_MAX, Attributes
-from refcodec.bitstream.dimensions import Dimensions, mask_contexts
+from refcodec.bitstream.dimensions import RENDER_MODELS, STATIC, Dimensions, mask_contexts
 from refcodec.bitstream.frame import Frame
 from refcodec.bitstream.header import ORIGIN_BOUND, Lanes, PositionGrid, RenderInfo
 from refcodec.bitstream.limits import PROFILES, TINY
@@ -39,10 +39,10 @@ def _within(bounds: tuple[int, int], most: int) -> st.SearchStrategy[int]:
     return st.one_of(st.integers(low, min(most, high)), st.sampled_from([low, high]))
 
 
-# SPEC 6.5: view_inputs and colour_outputs of render model 0.
-OF_MODEL_0 = 4, 3
-# Those of static scenes.
-OF_STATIC = [(0, outputs) for outputs in (3, 12, 27, 48)]
+# SPEC 6.5: view_inputs and colour_outputs of view-dependent and of static scenes.
+(OF_MODEL_0,), OF_STATIC = (
+    [(inputs, colours) for colours in outputs] for inputs, outputs in (RENDER_MODELS[0], RENDER_MODELS[STATIC])
+)
 
 
 @st.composite

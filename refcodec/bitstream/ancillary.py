@@ -90,8 +90,8 @@ TYPES: dict[bytes, AncillaryType] = {
 
 # SPEC 12.1
 def is_safe_to_copy(kind: bytes) -> bool:
-    """Whether a section of a type remains true after any change of the critical sections. Known types do."""
-    return kind in TYPES or bool(kind[3] & 0x20)
+    """Whether a section of a type remains true after any change of the critical sections."""
+    return bool(kind[3] & 0x20)
 
 
 def warnings(sections: Iterable[Ancillary]) -> list[str]:

@@ -10,8 +10,9 @@ from typing import Any
 SCALINGS = 6
 # SPEC 5.8: the rendering networks. No symbol depends on them.
 RENDERING = ("opacity", "covariance", "colour")
-# SPEC 6.5: the render model of static scenes.
+# SPEC 6.5: the render model of static scenes, and view_inputs and colour_outputs of each render model.
 STATIC = 1
+RENDER_MODELS: dict[int, tuple[int, tuple[int, ...]]] = {0: (4, (3,)), STATIC: (0, (3, 12, 27, 48))}
 
 
 @dataclass(frozen=True)

@@ -71,6 +71,11 @@ class RenderInfo:
     render_model: int = 0
 
 
+def render_fields(render: RenderInfo) -> dict[str, Any]:
+    """SPEC 5.5: returns the fields of the struct, by name."""
+    return {**vars(render), "reserved": 0}
+
+
 @dataclass(frozen=True, kw_only=True)
 class Header:
     """SPEC 6.2: the values of a header.
@@ -315,7 +320,7 @@ def emit_file(header: Header, sections: list[tuple[bytes, int, bytes]]) -> bytes
         "reserved": 0,
         "base_step": header.base_step,
         "position_grid": {**vars(header.grid), "reserved": 0},
-        "render_info": {**vars(header.render), "reserved": 0},
+        "render_info": render_fields(header.render),
         "dimensions": dimension_fields(header.dimensions),
         # SPEC 5.6: the chunks of DATA have CRC-32s of their own.
         "directory": [

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from .dimensions import STATIC, Dimensions, work
+from .dimensions import RENDER_MODELS, Dimensions, work
 
 TINY, MAIN = 0, 1
 Bounds = tuple[int, int]
@@ -143,14 +143,13 @@ def dimension_fault(profile: Profile, d: Dimensions, render_model: int) -> tuple
     if d.carm_width and len(d.slices) == 1:
         return "carm_layers", len(d.carm_width), "0 if slice_count is 1"
     # SPEC 6.5: of other render models, a decoder knows nothing.
-    if render_model == 0 and d.view_inputs != 4:
-        return "view_inputs", d.view_inputs, "4 if render_model is 0"
-    if render_model == 0 and d.colour_outputs != 3:
-        return "colour_outputs", d.colour_outputs, "3 if render_model is 0"
-    if render_model == STATIC and d.view_inputs != 0:
-        return "view_inputs", d.view_inputs, "0 if render_model is 1"
-    if render_model == STATIC and d.colour_outputs not in (3, 12, 27, 48):
-        return "colour_outputs", d.colour_outputs, "3, 12, 27 or 48 if render_model is 1"
+    if render_model in RENDER_MODELS:
+        inputs, outputs = RENDER_MODELS[render_model]
+        if d.view_inputs != inputs:
+            return "view_inputs", d.view_inputs, f"{inputs} if render_model is {render_model}"
+        if d.colour_outputs not in outputs:
+            allowed = " or ".join(map(str, outputs))
+            return "colour_outputs", d.colour_outputs, f"{allowed} if render_model is {render_model}"
     return None
 
 

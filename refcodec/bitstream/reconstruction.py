@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import struct
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,10 +16,11 @@ from .attributes import KINDS
 from .batches import GROUP_ANCHORS
 from .conventions import F32, f32_parts, round_to_f32
 from .dimensions import STATIC, dimension_fields
+from .header import render_fields
 from .kernel import Kernel, kernel, values
 from .positions import position_integers
 from .scene import Scene
-from .splat import derive_rendering, splat
+from .splat import Rendering, derive_rendering, splat
 from .tables import STEP_SHIFT, step_table
 
 # SPEC 9.3: the first hashed bytes of the digests of a scene and of a chunk, and the parts of the reconstruction.
@@ -110,25 +111,28 @@ def canonical_parts(scene: Scene) -> Iterator[tuple[str, bytes]]:
             yield name, anchors[name]
 
 
-def anchor_parts(scene: Scene, r: Reconstruction) -> dict[str, bytes]:
-    """SPEC 9.3: returns the bytes of a scene's anchors in each part that has anchors, by name. r: their values."""
+def anchor_parts(scene: Scene, r: Reconstruction, rendering: Rendering | None = None) -> dict[str, bytes]:
+    """SPEC 9.3: returns the bytes of a scene's anchors in each part that has anchors, by name.
+
+    r: their values. rendering: as for gaussians.
+    """
     found = {
         "positions": _little(r.positions, "<f4"),
         "masks": _little(scene.masks, "u1"),
         **{kind: _little(getattr(r, kind), "<f4") for kind in KINDS},
     }
     if scene.render.render_model == STATIC:
-        found[SPLAT] = _little(gaussians(scene, r), "<f4")
+        found[SPLAT] = _little(gaussians(scene, r, rendering), "<f4")
     return found
 
 
-def gaussians(scene: Scene, r: Reconstruction | None = None) -> F32:
+def gaussians(scene: Scene, r: Reconstruction | None = None, rendering: Rendering | None = None) -> F32:
     """SPEC 9.4: returns the Gaussians of a static scene, float32 [kept offsets, 11 + colour_outputs], see splat.py.
 
-    r: the values of the scene, if known.
+    r: the values of the scene, if known. rendering: the result of derive_rendering, if known.
     """
     r = reconstruct(scene) if r is None else r
-    networks = derive_rendering(scene.networks)
+    networks = derive_rendering(scene.networks) if rendering is None else rendering
     return splat(networks, r.positions, r.features, r.scalings, r.offsets, scene.masks)
 
 
@@ -144,7 +148,7 @@ def canonical_head(scene: Scene, anchors: int | None = None) -> bytes:
     anchors: N, or None if the scene has all anchors of the file.
     """
     count = scene.anchor_count if anchors is None else anchors
-    render = syntax.build("RenderInfo", {**vars(scene.render), "reserved": 0})
+    render = syntax.build("RenderInfo", render_fields(scene.render))
     dimensions = syntax.build("Dimensions", dimension_fields(scene.dimensions))
     return DIGEST_MAGIC + struct.pack("<I", count) + render + dimensions
 
@@ -167,11 +171,14 @@ def digest(scene: Scene) -> tuple[str, dict[str, str]]:
     return hashlib.sha256(data).hexdigest(), parts
 
 
-def chunk_digest(scene: Scene, values: Reconstruction | None = None) -> str:
-    """SPEC 9.3: returns the digest of a chunk, in hexadecimal. scene, values: as for StreamDigest.add."""
+def chunk_digest(scene: Scene, parts: Mapping[str, bytes] | None = None) -> str:
+    """SPEC 9.3: returns the digest of a chunk, in hexadecimal.
+
+    scene: with only the chunk's anchors. parts: the result of anchor_parts or of StreamDigest.add, if known.
+    """
     d = scene.dimensions
     whole = hashlib.sha256(CHUNK_MAGIC + struct.pack("<3I", scene.anchor_count, d.offset_count, d.features))
-    for part in anchor_parts(scene, values or reconstruct(scene)).values():
+    for part in (anchor_parts(scene, reconstruct(scene)) if parts is None else parts).values():
         whole.update(part)
     return whole.hexdigest()
 
@@ -182,12 +189,21 @@ class StreamDigest:
     def __init__(self) -> None:
         self._count = 0
         self._parts = {name: hashlib.sha256() for name in (*PARTS, SPLAT)}
+        self._rendering: Rendering | None = None
 
-    def add(self, scene: Scene, values: Reconstruction | None = None) -> None:
-        """Adds a chunk. scene: with only the chunk's anchors. values: the chunk's values, if known."""
+    def add(self, scene: Scene, values: Reconstruction | None = None) -> dict[str, bytes]:
+        """Adds a chunk, and returns its parts (anchor_parts).
+
+        scene: with only the chunk's anchors. values: the chunk's values, if known.
+        """
+        # All chunks have the same networks. Small chunks are decoded faster than these are derived.
+        if scene.render.render_model == STATIC and self._rendering is None:
+            self._rendering = derive_rendering(scene.networks)
         self._count += scene.anchor_count
-        for name, data in anchor_parts(scene, values or reconstruct(scene)).items():
+        parts = anchor_parts(scene, values or reconstruct(scene), self._rendering)
+        for name, data in parts.items():
             self._parts[name].update(data)
+        return parts
 
     def finish(self, scene: Scene) -> str:
         """Returns the digest, in hexadecimal. scene: with the planes and weights; its anchors are not read."""

@@ -20,7 +20,11 @@ LOG2_E = 1549082005
 MEAN, LENGTHS, QUATERNION, LOGIT, HARMONICS = slice(0, 3), slice(3, 6), slice(6, 10), 10, slice(11, None)
 
 
-def derive_rendering(networks: Mapping[str, list[Layer]]) -> dict[str, IntNetwork]:
+# The integer rendering networks of a static scene, by name.
+Rendering = Mapping[str, IntNetwork]
+
+
+def derive_rendering(networks: Mapping[str, list[Layer]]) -> Rendering:
     """SPEC 9.4: returns the integer rendering networks of a static scene, by name. Raises BoundError."""
     return derive_networks({name: networks[name] for name in RENDERING}, names=RENDERING)
 
@@ -46,7 +50,7 @@ def exponential(t: Int64) -> tuple[Int64, Int64]:
 
 # SPEC 9.4
 def splat(
-    networks: Mapping[str, IntNetwork],
+    networks: Rendering,
     positions: F32,
     features: F32,
     scalings: F32,

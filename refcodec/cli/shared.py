@@ -280,7 +280,7 @@ def decoded(
     arguments: argparse.Namespace,
     source: Source,
     bounds: Bounds | None,
-    use: Callable[[Scene], None] | None = None,
+    use: Callable[[Scene], object] | None = None,
 ) -> Opened:
     """Decodes and checks a whole file in bounded memory, and shows progress.
 

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from ..bitstream.cameras import rotation_matrix
 from ..export.glb import CHUNK, EXTENSION, HEAD, SPACE
-from ..export.harmonics import REST
 from ..files.documents import DocumentError, parse_json
 from ..files.text import printable
 from ..folder.layout import SceneFolderError
+from ..render.harmonics import REST
 from .splat_arrays import ADVICE, Arrays, check_count
 
 # Maximum bytes of the JSON, and of the numbers.

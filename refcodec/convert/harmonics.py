@@ -1,11 +1,11 @@
-"""Differentiable colours of the harmonics of refcodec.export.harmonics."""
+"""Differentiable colours of the harmonics of refcodec.render.harmonics."""
 
 from __future__ import annotations
 
 import torch
 from torch import Tensor
 
-from ..export.harmonics import ZERO, rest_harmonics
+from ..render.harmonics import ZERO, rest_harmonics
 
 
 def basis(direction: Tensor, degree: int) -> Tensor:

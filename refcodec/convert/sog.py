@@ -17,12 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 
-from ..export.harmonics import REST
 from ..export.sog import META, PALETTE_MOST, ROW
 from ..export.splats import with_largest
 from ..files.documents import DocumentError, parse_json
 from ..files.text import printable
 from ..folder.layout import SceneFolderError, there
+from ..render.harmonics import REST
 from .archives import opened_zip
 from .splat_arrays import ADVICE, Arrays, check_count, logits
 

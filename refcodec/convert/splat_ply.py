@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..export.harmonics import REST, ZERO
 from ..export.ply import columns
 from ..export.splats import with_largest
 from ..files.ply import PlyError, check_ply_header, names_of, read_ply
 from ..files.text import printable
 from ..folder.layout import SceneFolderError
+from ..render.harmonics import REST, ZERO
 from .splat_arrays import ADVICE, Arrays, check_count, logits
 
 # The number of Gaussians in a chunk of a compressed file, which share value ranges.

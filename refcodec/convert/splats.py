@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from ..export.harmonics import degree_of
 from ..render.camera import Camera
+from ..render.harmonics import degree_of
 from ..render.rasterise import Settings
 from ..train.splat import draw
 from .harmonics import colours

@@ -19,10 +19,10 @@ import torch
 from numpy.typing import NDArray
 from PIL import Image
 
-from ..export.harmonics import ZERO
 from ..files.ply import ply_bytes
 from ..files.stage import new_file
 from ..render.camera import Camera
+from ..render.harmonics import ZERO
 from ..render.rasterise import Settings
 from ..render.view import eight_bits, looking, spiral
 from .splats import Splats, drawn

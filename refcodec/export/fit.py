@@ -28,9 +28,10 @@ from ..bitstream.cameras import rotation_matrix
 from ..bitstream.reconstruction import Reconstruction
 from ..render.camera import Camera
 from ..render.gaussians import Gaussians, gaussians
+from ..render.harmonics import harmonics
 from ..render.rasterise import Settings, rasterise, rasterise_backward
 from ..render.view import View
-from .splats import OPACITY_LEAST, Splats, draw, harmonics, logits, opacities
+from .splats import OPACITY_LEAST, Splats, draw, logits, opacities
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -159,7 +160,7 @@ class _Sums:
         area = weight / np.maximum(opacity, OPACITY_LEAST)
         axes = rotation_matrix(visible.quaternion[chosen].astype(np.float64))
         lengths = 2 * np.log(np.maximum(visible.lengths[chosen].astype(np.float64), _LENGTH_LEAST))
-        basis = harmonics(mean, camera, self._degree)
+        basis = harmonics(mean, camera.centre, self._degree)
         self._mean[at] = mean
         self._weight[at] += weight
         self._area[at] += area
@@ -225,7 +226,7 @@ def _least_squares(
         out = np.zeros_like(coefficients)
         for number, camera in enumerate(cameras):
             progress("images", stage * len(cameras) + number, stages * len(cameras))
-            basis = harmonics(splats.mean, camera, degree)
+            basis = harmonics(splats.mean, camera.centre, degree)
             colour = np.einsum("nk,nkc->nc", basis, coefficients) + (0.5 if target else 0)
             drawn = rasterise(*geometry, colour, camera, settings if target else black)
             image = target(camera) - drawn.image if target else drawn.image

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from .. import __version__
 from ..files.outputs import Kind
-from .harmonics import ZERO
+from ..render.harmonics import ZERO
 from .splats import Splats, nearest_bytes, opacities
 
 F64 = NDArray[np.float64]

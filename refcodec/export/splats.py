@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..render.camera import Camera
+from ..render.harmonics import degree_of, harmonics
 from ..render.rasterise import Rendering, Settings, rasterise
-from .harmonics import ZERO, degree_of, rest_harmonics
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -94,19 +94,12 @@ def with_largest(largest: NDArray[np.int64], others: F64) -> F64:
     return out
 
 
-def harmonics(mean: F32, camera: Camera, degree: int) -> F64:
-    """Returns all harmonics for the directions from a camera to Gaussians, [n, (degree + 1)^2]. mean: [n, 3]."""
-    away = mean.astype(np.float64) - camera.centre
-    away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-12)
-    return np.stack([np.full(len(away), ZERO), *rest_harmonics(away.T, degree)], axis=1)
-
-
 def draw(splats: Splats, camera: Camera, settings: Settings) -> Rendering:
     """Draws Gaussians as 3DGS programs do: colours are 0.5 plus the sum of the harmonics, and at least 0.
 
     Raises ValueError as rasterise.
     """
-    values = np.einsum("nk,nkc->nc", harmonics(splats.mean, camera, splats.degree), splats.coefficients)
+    values = np.einsum("nk,nkc->nc", harmonics(splats.mean, camera.centre, splats.degree), splats.coefficients)
     lengths = np.exp(splats.scale)
     colours = np.maximum(values + 0.5, 0)
     return rasterise(splats.mean, splats.quaternion, lengths, opacities(splats), colours, camera, settings)

@@ -167,11 +167,11 @@ def _write_files(
         coded = RowsFile(arrays, {name: (a.dtype, a.shape[1:]) for name, a in _coded(head).items()}, count)
         for block in blocks:
             values = reconstruct(block)
-            digest.add(block, values)
+            parts = digest.add(block, values)
             cloud.add(values, block.masks)
             coded.add(_coded(block))
             if numbers is not None:
-                chunks.append(chunk_digest(block, values))
+                chunks.append(chunk_digest(block, parts))
     scene = whole()
     networks = {
         f"{name}.{index}.{part}": np.ascontiguousarray(value)

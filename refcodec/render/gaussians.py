@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from ..bitstream.dimensions import RENDERING, STATIC
+from ..bitstream.dimensions import RENDER_MODELS, RENDERING, STATIC
 from ..bitstream.header import RenderInfo
 from ..bitstream.networks import Layer
 from ..bitstream.reconstruction import Reconstruction, reconstruct
@@ -17,9 +17,10 @@ from ..bitstream.scene import Scene
 from ..bitstream.splat import HARMONICS, LENGTHS, LOGIT, MEAN, QUATERNION
 from ..statuses import UsageError
 from .camera import Camera
+from .harmonics import degree_of, harmonics
 
-# SPEC 6.5: the render models that chapter 14 draws: view-dependent and static scenes.
-VIEW_DEPENDENT, RENDER_MODELS = 0, (0, STATIC)
+# SPEC 6.5: the render model of 14.3.
+VIEW_DEPENDENT = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,12 +147,8 @@ def static_gaussians(
     numbers: of the Gaussians (refcodec.bitstream.splat). masks: bool [N, K]. dtype: as for gaussians.
     """
     anchor, offset = np.nonzero(masks)
-    away = (numbers[:, MEAN].astype(np.float64) - camera.centre).astype(dtype)
-    distance = np.linalg.norm(away, axis=1, keepdims=True)
-    direction = np.divide(away, distance, out=np.zeros_like(away), where=distance > 0)
-    coefficients = numbers[:, HARMONICS].astype(dtype)
-    coefficients = coefficients.reshape(len(numbers), coefficients.shape[1] // 3, 3)
-    values = harmonics(direction, coefficients.shape[1])
+    coefficients = numbers[:, HARMONICS].reshape(len(numbers), (numbers.shape[1] - HARMONICS.start) // 3, 3)
+    values = harmonics(numbers[:, MEAN], camera.centre, degree_of(coefficients.shape[1] - 1))
     quaternion = numbers[:, QUATERNION].astype(dtype)
     return Gaussians(
         numbers[:, MEAN].astype(dtype),
@@ -162,33 +159,6 @@ def static_gaussians(
         anchor,
         offset,
     )
-
-
-def harmonics(direction: NDArray, count: int) -> NDArray:
-    """SPEC 14.6, HARMONICS: returns the first `count` real spherical harmonics of directions, [n, count].
-
-    direction: [n, 3], unit vectors or zeros.
-    """
-    x, y, z = direction.T
-    columns = [
-        np.full_like(x, 0.28209479177387814),
-        -0.4886025119029199 * y,
-        0.4886025119029199 * z,
-        -0.4886025119029199 * x,
-        1.0925484305920792 * x * y,
-        -1.0925484305920792 * y * z,
-        0.31539156525252005 * (2 * z * z - x * x - y * y),
-        -1.0925484305920792 * x * z,
-        0.5462742152960396 * (x * x - y * y),
-        -0.5900435899266435 * y * (3 * x * x - y * y),
-        2.890611442640554 * x * y * z,
-        -0.4570457994644658 * y * (4 * z * z - x * x - y * y),
-        0.3731763325901154 * z * (2 * z * z - 3 * x * x - 3 * y * y),
-        -0.4570457994644658 * x * (4 * z * z - x * x - y * y),
-        1.445305721320277 * z * (x * x - y * y),
-        -0.5900435899266435 * x * (x * x - 3 * y * y),
-    ]
-    return np.stack(columns[:count], axis=1)
 
 
 def gaussians_document(gaussians: Gaussians) -> dict[str, Any]:

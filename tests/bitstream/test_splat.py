@@ -12,6 +12,7 @@ from conformance.manifest import Accepted, load
 from refcodec.bitstream import codec, reconstruction, splat
 from refcodec.bitstream.networks import IntNetwork
 from refcodec.bitstream.reconstruction import Reconstruction
+from refcodec.bitstream.scene import take_anchors
 
 SUITE = load()
 FILES = [v for v in SUITE.vectors if "static" in v.features and isinstance(v.expectation, Accepted)]
@@ -70,3 +71,12 @@ def test_the_exponential_is_near(spec: dict[str, Any]) -> None:
     assert [spec["EXPONENTIAL"](int(x)) for x in t[::50]] == list(zip(m[::50].tolist(), n[::50].tolist(), strict=True))
     assert np.abs(np.ldexp(m.astype(np.float64), n) / np.exp(t / 2.0**splat.SCALING_BITS) - 1).max() < 2.0**-26
     assert (m.min() >> 30, m.max() >> 30) == (1, 1)
+
+
+def test_a_stream_of_chunks_has_the_same_digests() -> None:
+    scene = codec.parse(static.of_degree(2)).scene
+    stream = reconstruction.StreamDigest()
+    for first in range(0, scene.anchor_count, 2):
+        block = take_anchors(scene, slice(first, first + 2))
+        assert reconstruction.chunk_digest(block, stream.add(block)) == reconstruction.chunk_digest(block)
+    assert stream.finish_parts(scene) == reconstruction.digest(scene)

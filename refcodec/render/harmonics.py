@@ -10,6 +10,9 @@ import math
 from collections.abc import Iterable
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 DEGREE_MAX = 3
 # Harmonics beside that of degree 0, by degree.
 REST = tuple((degree + 1) ** 2 - 1 for degree in range(DEGREE_MAX + 1))
@@ -61,3 +64,15 @@ def rest_harmonics(direction: Iterable[Any], degree: int) -> list[Any]:
         inner = (y * (3 * xx - yy), x * y * z, y * ring, z * (2 * zz - 3 * xx - 3 * yy), x * ring, z * (xx - yy))
         values += [c * p for c, p in zip(_THREE, (*inner, x * (xx - 3 * yy)), strict=True)]
     return values
+
+
+# SPEC 14.6
+def harmonics(mean: NDArray[np.float32], centre: NDArray[np.float64], degree: int) -> NDArray[np.float64]:
+    """SPEC 14.6, HARMONICS: returns all harmonics for the directions from a place to Gaussians, [n, (degree + 1)^2].
+
+    mean: [n, 3]. centre: the place, [3]. The direction to the place itself is zero.
+    """
+    away = mean.astype(np.float64) - centre
+    distance = np.linalg.norm(away, axis=1, keepdims=True)
+    direction = np.divide(away, distance, out=np.zeros_like(away), where=distance > 0)
+    return np.stack([np.full(len(away), ZERO), *rest_harmonics(direction.T, degree)], axis=1)
