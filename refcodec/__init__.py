@@ -15,9 +15,11 @@ __all__ = [
     "Camera",
     "File",
     "Scene",
+    "Splats",
     "__version__",
     "decode",
     "encode",
+    "gaussians",
     "open",
     "render",
 ]

@@ -3,13 +3,27 @@
 open    opens a file, a URL or bytes, and reads on demand
 decode  decodes a file to a Scene
 encode  encodes a Scene to the bytes of a file
+gaussians  decodes a static file to plain Gaussians
 render  renders the image of a camera
 """
 
 from ..bitstream.bounds import BoundPassedError
 from ..bitstream.errors import BitstreamError
+from ..export.splats import Splats
 from ..render.camera import Camera
-from .opening import File, decode, open
+from .opening import File, decode, gaussians, open
 from .scenes import Scene, encode, render
 
-__all__ = ["BitstreamError", "BoundPassedError", "Camera", "File", "Scene", "decode", "encode", "open", "render"]
+__all__ = [
+    "BitstreamError",
+    "BoundPassedError",
+    "Camera",
+    "File",
+    "Scene",
+    "Splats",
+    "decode",
+    "encode",
+    "gaussians",
+    "open",
+    "render",
+]

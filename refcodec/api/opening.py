@@ -25,10 +25,12 @@ from ..bitstream.reader import Reader
 from ..bitstream.scene import Ancillary
 from ..bitstream.source import FileBytes, Source, StoredFile, WholeFile
 from ..bitstream.streaming import DecodedChunk, decoded_chunks, stated_bytes
+from ..export.splats import Splats
 from ..files.remote import MEMORY_MAX, RemoteFile, is_url
 from ..inspect.elements import outline_of
 from ..inspect.parts import SPAN_BYTES, part_bytes
 from ..render.camera import Camera
+from ..render.gaussians import check_static
 from . import page
 from .scenes import Scene, named_cameras
 
@@ -212,3 +214,30 @@ def decode(
     """
     with open(place, max_anchors=max_anchors, max_memory=max_memory, max_work=max_work) as file:
         return file.decode()
+
+
+def gaussians(
+    place: Place, *, max_anchors: int | None = None, max_memory: int | None = None, max_work: int | None = None
+) -> Splats:
+    """SPEC 9.4: returns the Gaussians of a static scene's file, the same bits on every machine. Needs no camera.
+
+    With n Gaussians, `mean` is float32 [n, 3] in world units, `scale` [n, 3] the natural logarithms of the axes'
+    lengths, `quaternion` [n, 4] w, x, y, z, `opacity` [n] logits, and `base` [n, 3] and `rest` [n, K, 3] the
+    coefficients of the harmonics, with K 0, 3, 8 or 15. The order is that of the anchors and their offsets. The arrays
+    are read-only.
+
+    Args:
+        place: a path, a URL, or the bytes of a file, as for `open`.
+        max_anchors: the most anchors, or None.
+        max_memory: the most bytes of memory for decoding, or None, which is 4 GiB for a URL.
+        max_work: the most units of work for decoding (SPEC.md 13.1), or None.
+
+    Raises:
+        ValueError: the scene is not static, so that its Gaussians depend on the view. `refcodec export` fits plain
+            Gaussians to its views, and `Scene.gaussians` returns those of one view.
+        BitstreamError, BoundPassedError, OSError, refcodec.statuses.UsageError: as for `decode`.
+    """
+    with open(place, max_anchors=max_anchors, max_memory=max_memory, max_work=max_work) as file:
+        # Nothing is decoded for a scene of another render model.
+        check_static(file.header.render)
+        return file.decode().splats

@@ -21,6 +21,7 @@ from ..bitstream.metadata import metadata
 from ..bitstream.reconstruction import Reconstruction, digest, reconstruct
 from ..bitstream.scene import Scene as CodedScene
 from ..bitstream.scene import take_anchors
+from ..export.splats import Splats, static_splats
 from ..inspect.elements import outline_of
 from ..inspect.parts import part_bytes
 from ..render.camera import Camera, check_camera, default_camera
@@ -157,6 +158,15 @@ class Scene:
         camera = camera or self.camera
         check_camera(camera)
         return gaussians_of(self.coded, camera, self.values)
+
+    @cached_property
+    def splats(self) -> Splats:
+        """SPEC 9.4: the plain Gaussians of a static scene, bit-exact on every machine. See `refcodec.gaussians`.
+
+        Raises ValueError for a scene that is not static.
+        """
+        found: Splats = _read_only(static_splats(self.coded, self.values))
+        return found
 
     def render(self, camera: Camera | None = None) -> NDArray[np.uint8]:
         """SPEC chapter 14: returns the image of a camera, uint8 [height, width, 3]: red, green and blue.

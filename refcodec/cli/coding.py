@@ -86,6 +86,12 @@ def _decode(arguments: argparse.Namespace) -> int:
     from ..bitstream.streaming import check_numbers
     from ..folder.write import decode_folder
 
+    if arguments.splat:
+        if arguments.chunks or arguments.keep_going:
+            raise UsageError("--splat writes whole files only: omit --chunks and --keep-going")
+        from .exporting import decode_splats
+
+        return decode_splats(arguments)
     check_scene_output(Path(arguments.output), [arguments.file])
     numbers = arguments.chunks
     if numbers and arguments.keep_going:
@@ -243,19 +249,29 @@ def add(commands: Any) -> None:
         commands,
         "decode",
         _decode,
-        "decode a file into a scene folder",
+        "decode a file into a scene folder, or a static scene into a splat file",
         [
             "decode scene.c3gs -o scene",
+            "decode static.c3gs --splat scene.ply",
             "decode scene.c3gs -o part --chunks 2:5",
             "decode damaged.c3gs -o scene --keep-going",
         ],
         "SCENE_DIR is created. An existing folder must be empty or a scene folder. Its scene is replaced, and its\n"
-        "other files stay.",
+        "other files stay.\n\n"
+        "With --splat, the Gaussians of a static scene are written as they are: .ply and .glb lose nothing, .spz and\n"
+        ".sog what the format loses. For other scenes, use export, which fits Gaussians to views.",
         writes=True,
     )
     decode.add_argument("file", metavar="FILE", help=FILE)
     add_bounds(decode)
-    decode.add_argument("-o", "--output", metavar="SCENE_DIR", required=True, help="the scene folder to write")
+    results = decode.add_mutually_exclusive_group(required=True)
+    results.add_argument("-o", "--output", metavar="SCENE_DIR", help="the scene folder to write")
+    results.add_argument(
+        "--splat",
+        metavar="OUTPUT",
+        action="append",
+        help="the .ply, .spz, .sog or .glb file to write, of a static scene; repeatable",
+    )
     decode.add_argument(
         "--chunks",
         type=_chunks,

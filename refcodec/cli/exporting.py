@@ -1,4 +1,4 @@
-"""The command that writes a scene for other programs: export."""
+"""The command that writes a scene for other programs, export, and the splats of decode."""
 
 # Modules that need NumPy are imported where they are used, so that help is instant.
 # ruff: noqa: PLC0415
@@ -12,12 +12,13 @@ from typing import TYPE_CHECKING, Any
 from ..files.outputs import check_apart, check_file
 from ..files.stage import write_file
 from ..files.terminal import note, say
-from .bounds import add_bounds, check_bounds
+from .bounds import add_bounds, check_bounds, read_bounded
 from .shared import (
     CODED_OR_PLAIN,
     RENDER_PACKAGES,
     UsageError,
     add_command,
+    counted,
     needs,
     note_compiling,
     parse_file,
@@ -28,12 +29,18 @@ from .shown import camera_of, photographs_as_trained, read_shown, render_info
 from .viewing import PAGE_SUFFIX, add_photographs, export_page
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from ..bitstream.cameras import NamedCamera
     from ..bitstream.scene import Scene
+    from ..export.splats import Packed, Splats
     from ..export.views import Views
     from ..folder.uncompressed import Uncompressed
     from ..render.view import View
 
+# The defaults of a fit. A static scene has no fit, and refuses the options.
+_DEGREE, _ITERATIONS = 3, 10
 NOTES = """\
 FILE is a file or a scene folder. The suffix of OUTPUT selects the format:
 
@@ -45,8 +52,11 @@ FILE is a file or a scene folder. The suffix of OUTPUT selects the format:
 
 --photographs adds photographs to a page for comparison. The rest of this text is about splats.
 
-The Gaussians of a scene depend on the camera. An ordinary splat has one fixed set, with spherical harmonics for the
-colours. It is fitted to the views of these cameras:
+A static scene has ordinary Gaussians, which are written as they are: .ply and .glb lose nothing, .spz and .sog what the
+format loses. The options of the fit do not apply.
+
+The Gaussians of any other scene depend on the camera. An ordinary splat has one fixed set, with spherical harmonics for
+the colours. It is fitted to the views of these cameras:
 
   - with --cameras PHOTOGRAPHS, a COLMAP or NeRF folder, the training cameras
   - else the cameras of FILE, if there are 8 or more; train keeps 16, spread as far as possible
@@ -55,7 +65,7 @@ colours. It is fitted to the views of these cameras:
 The command reports the PSNR of the splat in dB, measured on views that the fit did not use. With cameras of FILE, these
 lie between each camera and its nearest.
 Gaussians that contribute less than a tenth of a pixel to every view are dropped.
-Needs: pip install 'refcodec[render]'.
+The fit and .sog need: pip install 'refcodec[render]'.
 
 With --scaffold, OUTPUT is a folder that the code of Scaffold-GS loads. It shows the same Gaussians as FILE.
 Needs: pip install 'refcodec[fit]'."""
@@ -110,6 +120,96 @@ def _scaffold(arguments: argparse.Namespace, folder: Path) -> int:
     return 0
 
 
+def decode_splats(arguments: argparse.Namespace) -> int:
+    """Writes the splat files of decode: the Gaussians of a static scene."""
+    from ..bitstream.codec import parse_container
+    from ..render.gaussians import check_static
+
+    outputs = _splat_outputs(arguments.splat, arguments.file)
+    data = read_bounded(arguments)
+    check_static(parse_container(data).render)
+    return _write_static(arguments, outputs, data, parse_file(arguments, data).scene)
+
+
+def _splat_outputs(names: list[str], file: str, *others: str) -> list[Path]:
+    """Returns the splat files to write. others: more suffixes that the command takes.
+
+    Raises UsageError if a file has an unknown suffix, or is not free.
+    """
+    from ..export.formats import FORMATS
+
+    outputs = [Path(name) for name in names]
+    for output in outputs:
+        if output.suffix.lower() not in FORMATS:
+            raise UsageError(f"{output} has an unknown suffix; allowed are {', '.join([*FORMATS, *others])}")
+        check_file(output, FORMATS[output.suffix.lower()])
+    check_apart(outputs, [file])
+    return outputs
+
+
+def _write_static(
+    arguments: argparse.Namespace, outputs: list[Path], shown: bytes | Scene | Uncompressed, scene: Scene | Uncompressed
+) -> int:
+    """Writes the Gaussians of a static scene. shown: as read_shown returns it."""
+    from ..bitstream.cameras import cameras
+    from ..bitstream.scene import Scene
+    from ..export.splats import static_splats
+    from ..render.camera import scene_up
+
+    if not isinstance(scene, Scene):
+        raise UsageError(f"{arguments.file} is the folder of an uncompressed static scene: encode it first")
+    splats = static_splats(scene)
+    up = scene_up(scene.render.up_axis, cameras(scene.ancillary))
+    packed = _packed(arguments, outputs, splats, up)
+    for output, each in zip(outputs, packed, strict=True):
+        write_file(output, each.data)
+        said = f"{output}: {counted(len(splats.mean), 'Gaussian')}, degree {splats.degree}, "
+        say(said + _size(arguments, output, splats, each, shown), lines=True)
+    return 0
+
+
+def _packed(
+    arguments: argparse.Namespace, outputs: list[Path], splats: Splats, up: NDArray[np.float64]
+) -> list[Packed]:
+    """Returns the files of Gaussians. Raises UsageError if a format cannot hold them or needs a missing package."""
+    from ..export.formats import splat_file
+
+    try:
+        return [splat_file(splats, output.suffix.lower(), up, _spz_bits(arguments)) for output in outputs]
+    except ModuleNotFoundError as error:
+        raise needs("a .sog file", "render", error, RENDER_PACKAGES) from None
+    except ValueError as error:
+        raise UsageError(f"{arguments.file} cannot be exported: {error}") from None
+
+
+def _is_spz(output: Path) -> bool:
+    return output.suffix.lower() == ".spz"
+
+
+def _spz_bits(arguments: argparse.Namespace) -> int:
+    """Returns the bits of harmonics in .spz. decode has no option for them."""
+    from ..export.spz import BITS
+
+    return getattr(arguments, "spz_bits", None) or BITS
+
+
+def _size(
+    arguments: argparse.Namespace, output: Path, splats: Splats, packed: Packed, shown: bytes | Scene | Uncompressed
+) -> str:
+    """Returns the text about the size of a written file; for .spz also the size with other bits of harmonics."""
+    from ..export.spz import BITS, BITS_MOST, spz_file
+
+    size = f"{len(packed.data):,} bytes"
+    if isinstance(shown, bytes):
+        size += f", {arguments.file} has {len(shown):,}"
+    if not _is_spz(output) or not splats.degree:
+        return size
+    bits = _spz_bits(arguments)
+    other = BITS if bits == BITS_MOST else BITS_MOST
+    with_other = len(spz_file(splats, other).data)
+    return f"{size}\nits harmonics have {bits} bits; with {other} (export --spz-bits) it has {with_other:,} bytes"
+
+
 def _export(arguments: argparse.Namespace) -> int:
     pages = [name for name in arguments.output if name.lower().endswith(PAGE_SUFFIX)]
     single = "a Scaffold-GS folder" if arguments.scaffold else "a page" if pages else None
@@ -121,39 +221,50 @@ def _export(arguments: argparse.Namespace) -> int:
         return export_page(arguments, Path(pages[0]))
     if arguments.photographs is not None:
         raise UsageError(f"--photographs applies only to {PAGE_SUFFIX} outputs: use --cameras for splats")
+    from ..bitstream.dimensions import STATIC
+    from ..render.gaussians import check_render_model
+
+    outputs = _splat_outputs(arguments.output, arguments.file, PAGE_SUFFIX)
+    if arguments.spz_bits is not None and not any(_is_spz(output) for output in outputs):
+        raise UsageError("--spz-bits applies only to .spz outputs: omit it")
+    shown = read_shown(arguments)
+    info = render_info(shown)
+    check_render_model(info)
+    if info.render_model != STATIC:
+        return _export_fitted(arguments, outputs, shown)
+    given = [name for name in ("degree", "cameras", "iterations") if getattr(arguments, name) is not None]
+    if given:
+        raise UsageError(f"{arguments.file} is a static scene, which needs no fit: omit --{given[0]}")
+    scene = parse_file(arguments, shown).scene if isinstance(shown, bytes) else shown
+    return _write_static(arguments, outputs, shown, scene)
+
+
+def _export_fitted(arguments: argparse.Namespace, outputs: list[Path], shown: bytes | Scene | Uncompressed) -> int:
+    """Writes Gaussians that are fitted to the views of a scene. shown: as read_shown returns it."""
     try:
         from ..export.fit import agreement, fit
-        from ..export.formats import FORMATS, splat_file
-        from ..render.gaussians import check_view_dependent
         from ..render.view import View, stated_cameras
     except ModuleNotFoundError as error:
         raise needs("export", "render", error, RENDER_PACKAGES) from None
-    outputs = [Path(name) for name in arguments.output]
-    for output in outputs:
-        if output.suffix.lower() not in FORMATS:
-            raise UsageError(f"{output} has an unknown suffix; allowed are {', '.join([*FORMATS, PAGE_SUFFIX])}")
-        check_file(output, FORMATS[output.suffix.lower()])
-    check_apart(outputs, [arguments.file])
+    degree = _DEGREE if arguments.degree is None else arguments.degree
+    iterations = _ITERATIONS if arguments.iterations is None else arguments.iterations
     note_compiling()
-    shown = read_shown(arguments)
     scene = parse_file(arguments, shown).scene if isinstance(shown, bytes) else shown
-    check_view_dependent(scene.render)
     view = View(scene)
     views, read = _views(arguments, shown, view, stated_cameras(scene))
     check_apart(outputs, read)
     try:
         with progress_bar(arguments.progress) as progress:
-            fitted = fit(view, views.fit, arguments.degree, arguments.iterations, progress)
-            packed = [splat_file(fitted.splats, output.suffix.lower(), view.up) for output in outputs]
+            fitted = fit(view, views.fit, degree, iterations, progress)
+            packed = _packed(arguments, outputs, fitted.splats, view.up)
             near = [agreement(view, each.splats, views.test, progress) for each in packed]
     except ValueError as error:
         raise UsageError(f"{arguments.file} cannot be exported: {error}") from None
-    source = f", {arguments.file} has {len(shown):,}" if isinstance(shown, bytes) else ""
     for output, each, decibels in zip(outputs, packed, near, strict=True):
         write_file(output, each.data)
+        size = _size(arguments, output, fitted.splats, each, shown)
         say(
-            f"{output}: {len(fitted.splats.mean):,} of {fitted.of:,} Gaussians, degree {arguments.degree}, "
-            f"{len(each.data):,} bytes{source}\n"
+            f"{output}: {len(fitted.splats.mean):,} of {fitted.of:,} Gaussians, degree {degree}, {size}\n"
             f"PSNR to the scene: {decibels:.2f} dB over {len(views.test)} views, fitted to {views.source}",
             lines=True,
         )
@@ -192,8 +303,7 @@ def add(commands: Any) -> None:
         "--degree",
         type=int,
         choices=range(4),
-        default=3,
-        help="degree of the spherical harmonics, by which colours depend on the direction (default: %(default)s)",
+        help=f"degree of the spherical harmonics, by which colours depend on the direction (default: {_DEGREE})",
     )
     export.add_argument("--cameras", metavar="PHOTOGRAPHS", help="fit to the cameras of a folder of photographs")
     export.add_argument(
@@ -207,6 +317,11 @@ def add(commands: Any) -> None:
         "--iterations",
         type=whole,
         metavar="N",
-        default=10,
-        help="least-squares steps on the images, after the fit of each Gaussian by itself (default: %(default)s)",
+        help=f"least-squares steps on the images, after the fit of each Gaussian by itself (default: {_ITERATIONS})",
+    )
+    export.add_argument(
+        "--spz-bits",
+        type=int,
+        choices=range(4, 9),
+        help="bits of the harmonics in .spz; fewer make a smaller, less accurate file (default: 7)",
     )

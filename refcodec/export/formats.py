@@ -10,20 +10,23 @@ from .glb import GLB, glb_bytes
 from .ply import PLY, ply_bytes
 from .sog import SOG, sog_file
 from .splats import Packed, Splats
-from .spz import SPZ, spz_file
+from .spz import BITS, SPZ, spz_file
 
 F64 = NDArray[np.float64]
 
 FORMATS: dict[str, Kind] = {".ply": PLY, ".spz": SPZ, ".sog": SOG, ".glb": GLB}
 
 
-def splat_file(splats: Splats, suffix: str, up: F64) -> Packed:
-    """Returns a file of Gaussians. suffix: a key of FORMATS. up: the up axis of the scene, a unit vector, float64 [3].
+def splat_file(splats: Splats, suffix: str, up: F64, spz_bits: int = BITS) -> Packed:
+    """Returns a file of Gaussians.
 
-    Raises ValueError if the format cannot hold them.
+    suffix: a key of FORMATS. up: the up axis of the scene, a unit vector, float64 [3]. spz_bits: as for spz_file.
+    Raises ValueError if the format cannot hold them, and if there are none.
     """
+    if not len(splats.mean):
+        raise ValueError("it has no Gaussians")
     if suffix == ".spz":
-        return spz_file(splats)
+        return spz_file(splats, spz_bits)
     if suffix == ".sog":
         return sog_file(splats)
     return Packed(ply_bytes(splats) if suffix == ".ply" else glb_bytes(splats, up), splats)

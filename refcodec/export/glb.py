@@ -33,15 +33,21 @@ GLB = Kind(
 
 
 def _attributes(splats: Splats) -> dict[str, NDArray]:
-    """Returns the vertex attributes by name, [n] or [n, parts] each."""
+    """Returns the vertex attributes by name, [n] or [n, parts] each.
+
+    The extension demands lengths, opacities and unit quaternions. Each is rounded once. Other numbers keep their bits.
+    """
     opacity = opacities(splats)
+    # Accessors hold only finite numbers.
+    with np.errstate(over="ignore"):
+        lengths = np.minimum(np.exp(splats.scale.astype(np.float64)), np.finfo(np.float32).max)
     # Programs without the extension show points in this colour.
     points = np.concatenate([ZERO * splats.base + 0.5, opacity[:, None]], axis=1)
     attributes: dict[str, NDArray] = {
         "POSITION": splats.mean,
         "COLOR_0": nearest_bytes(points * 255),
         f"{EXTENSION}:ROTATION": splats.unit_quaternions()[:, [1, 2, 3, 0]],
-        f"{EXTENSION}:SCALE": np.exp(splats.scale),
+        f"{EXTENSION}:SCALE": lengths,
         f"{EXTENSION}:OPACITY": opacity,
         f"{EXTENSION}:SH_DEGREE_0_COEF_0": splats.base,
     }

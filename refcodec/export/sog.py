@@ -4,6 +4,9 @@ Each Gaussian is a pixel of each image. Positions have 16 bits on a logarithmic 
 into a table of 256 values. Harmonics are indices into a shared palette.
 """
 
+# The packages of the extra `render` are imported where they are used, because other formats do not need them.
+# ruff: noqa: PLC0415
+
 from __future__ import annotations
 
 import io
@@ -15,8 +18,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
-from scipy.cluster.vq import kmeans2, vq
 
 from .. import __version__
 from ..files.outputs import Kind
@@ -111,6 +112,8 @@ def sog_file(splats: Splats) -> Packed:
 
 def _webp(pixels: _U8) -> bytes:
     """Returns a lossless image of pixels, uint8 [height, width, 4]."""
+    from PIL import Image
+
     out = io.BytesIO()
     # Without `exact`, colours of transparent pixels are lost.
     Image.fromarray(pixels).save(out, "WEBP", lossless=True, exact=True, quality=100, method=4)
@@ -182,6 +185,8 @@ def _palette(rows: _F64) -> tuple[NDArray[np.int64], _F64]:
 
 def _clusters(rows: _F64, number: int) -> tuple[NDArray[np.int64], _F64]:
     """Returns the cluster number of each row, and the centres, by k-means from evenly chosen rows."""
+    from scipy.cluster.vq import kmeans2, vq
+
     start = rows[np.linspace(0, len(rows) - 1, number).astype(np.int64)]
     with warnings.catch_warnings():
         # A cluster without rows keeps its centre.

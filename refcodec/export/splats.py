@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..bitstream.reconstruction import Reconstruction, gaussians
+from ..bitstream.scene import Scene
+from ..bitstream.splat import HARMONICS, LENGTHS, LOGIT, MEAN, QUATERNION
 from ..render.camera import Camera
+from ..render.gaussians import check_static
 from ..render.harmonics import degree_of, harmonics
-from ..render.rasterise import Rendering, Settings, rasterise
+
+if TYPE_CHECKING:
+    from ..render.rasterise import Rendering, Settings
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -19,14 +26,15 @@ OPACITY_LEAST = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Splats:
-    """n Gaussians, float32.
+    """n plain 3D Gaussians, the same for all views. All arrays are float32, with the numbers of 3DGS PLY files.
 
     mean: [n, 3], world units.
-    base: [n, 3], red, green and blue of the harmonic of degree 0.
-    rest: [n, K, 3], those of the other harmonics, in the order of harmonics.rest_harmonics.
-    opacity: [n], logits.
-    scale: [n, 3], natural logarithms of the lengths in world units.
-    quaternion: [n, 4], w, x, y, z, of any length but 0.
+    base: [n, 3], coefficients of the harmonic of degree 0: red, green and blue.
+    rest: [n, K, 3], those of the other harmonics in the order of 3DGS, K is 0, 3, 8 or 15. The colour is 0.5 plus the
+        sum of the harmonics of the direction from the camera to the mean, times their coefficients (SPEC 14.6).
+    opacity: [n], logits: the opacity is 1 / (1 + exp(-logit)).
+    scale: [n, 3], natural logarithms of the lengths of the axes, which are in world units.
+    quaternion: [n, 4], w, x, y, z, of any length but 0. It turns the axes of the Gaussian to those of the world.
     """
 
     mean: F32
@@ -60,9 +68,27 @@ class Packed:
     splats: Splats
 
 
+# SPEC 9.4
+def static_splats(scene: Scene, values: Reconstruction | None = None) -> Splats:
+    """Returns the Gaussians of a static scene, exactly as it decodes, in the order of anchors and offsets.
+
+    values: those of the scene, if known. Raises RenderModelError for another scene.
+    """
+    check_static(scene.render)
+    numbers = gaussians(scene, values)
+    outputs = numbers.shape[1] - HARMONICS.start
+    coefficients = numbers[:, HARMONICS].reshape(len(numbers), outputs // 3, 3)
+    parts = (
+        *(numbers[:, MEAN], coefficients[:, 0], coefficients[:, 1:]),
+        *(numbers[:, LOGIT], numbers[:, LENGTHS], numbers[:, QUATERNION]),
+    )
+    return Splats(*map(np.ascontiguousarray, parts))
+
+
 def opacities(splats: Splats) -> F64:
     """Returns the opacities, from 0 to 1, [n]."""
-    return 1 / (1 + np.exp(-splats.opacity.astype(np.float64)))
+    # Beyond 700, the exponential overflows, and the opacity is 0 in float32.
+    return 1 / (1 + np.exp(np.minimum(-splats.opacity.astype(np.float64), 700)))
 
 
 def logits(opacity: F64) -> F64:
@@ -97,8 +123,10 @@ def with_largest(largest: NDArray[np.int64], others: F64) -> F64:
 def draw(splats: Splats, camera: Camera, settings: Settings) -> Rendering:
     """Draws Gaussians as 3DGS programs do: colours are 0.5 plus the sum of the harmonics, and at least 0.
 
-    Raises ValueError as rasterise.
+    It needs the extra `render`. Raises ValueError as rasterise.
     """
+    from ..render.rasterise import rasterise  # noqa: PLC0415 (numba)
+
     values = np.einsum("nk,nkc->nc", harmonics(splats.mean, camera.centre, splats.degree), splats.coefficients)
     lengths = np.exp(splats.scale)
     colours = np.maximum(values + 0.5, 0)

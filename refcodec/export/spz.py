@@ -25,11 +25,14 @@ SPZ = Kind("an SPZ file that refcodec wrote", re.compile(rb"\x1f\x8b\x08\x00" + 
 _POSITION_MOST, _FRACTION_MOST = (1 << 23) - 1, 20
 # Opacities o are stored as 255 o, coefficients c of degree 0 as 255 (0.15 c + 0.5), scales s as 16 (s + 10).
 COLOUR, SCALE, SCALE_LEAST = 0.15, 16, -10
-# Other coefficients c are stored as 128 c + 128. They are from -1 to 1. Niantic's library drops three of the eight bits
-# in degree 1 and four in the others, and has 12 fractional bits of positions. gzip packs that to two thirds. But for
-# playbot (31,000 Gaussians, degree 2) it gives 47.4 dB, and these bits give 55.5. The best fits of RESULTS.md reach
-# 46 dB, which would then drop.
+# Other coefficients c are stored as 128 c + 128 in a byte. They are from -1 to 1. An encoder sets the lowest bits to 0,
+# which gzip compresses. 7 bits lose up to 0.013 dB, 6 up to 0.06, and the 5 bits of degree 1 and 4 of the others of
+# Niantic's library up to 0.9, measured on photographs (benchmarks/RESULTS.md, Exported scenes).
 _HARMONIC = 128
+BITS_LEAST, BITS, BITS_MOST = 4, 7, 8
+# A step of positions is this share of the longest axis that is shorter than those of nine in ten Gaussians. It loses
+# nothing visible, and is 2^-12 in scenes of an ordinary size, as in Niantic's library.
+_STEP_SHARE, _QUANTILE = 1 / 64, 0.1
 # Components of quaternions have a sign and nine bits. All but the largest are at most the square root of 1/2.
 _COMPONENT = 511 * np.sqrt(2)
 # The signs of x, y and z, and of the harmonics besides the first, when y and z are negated.
@@ -37,9 +40,12 @@ _AXES = np.array([1, -1, -1])
 HARMONIC_SIGNS = np.array([-1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1])
 
 
-def spz_file(splats: Splats) -> Packed:
-    """Returns the file. Raises ValueError for positions of 2^23 or more, which the format cannot hold."""
-    fraction = _fraction(splats.mean)
+def spz_file(splats: Splats, bits: int = BITS) -> Packed:
+    """Returns the file. splats: at least one. bits: of each coefficient of degree 1 and more, BITS_LEAST to BITS_MOST.
+
+    Raises ValueError for positions of 2^23 or more, which the format cannot hold.
+    """
+    fraction = _fraction(splats)
     fixed = np.rint(splats.mean.astype(np.float64) * _AXES * 2.0**fraction)
     fixed = np.clip(fixed, -_POSITION_MOST, _POSITION_MOST).astype("<i4")
     alpha = nearest_bytes(opacities(splats) * 255)
@@ -49,7 +55,8 @@ def spz_file(splats: Splats) -> Packed:
     largest, others = smaller_components(splats.unit_quaternions()[:, [1, 2, 3, 0]] * np.append(_AXES, 1))
     magnitude = np.minimum(np.floor(_COMPONENT * np.abs(others) + 0.5), 511).astype("<u4")
     turns = HARMONIC_SIGNS[: splats.rest.shape[1], None]
-    rest = nearest_bytes(_HARMONIC * splats.rest * turns + _HARMONIC)
+    step = 1 << (BITS_MOST - bits)
+    rest = nearest_bytes(step * np.rint(_HARMONIC / step * splats.rest * turns) + _HARMONIC)
     parts = (
         # The lowest three bytes of each position, the lowest first.
         fixed.view(np.uint8).reshape(-1, 3, 4)[:, :, :3],
@@ -75,12 +82,14 @@ def _raw(values: NDArray) -> bytes:
     return values.tobytes()
 
 
-def _fraction(mean: NDArray[np.float32]) -> int:
-    """Returns the number of fractional bits of positions, which the largest one determines."""
-    largest = float(np.abs(mean).max(initial=0))
+def _fraction(splats: Splats) -> int:
+    """Returns the number of fractional bits of positions: those of a fine step, or fewer if the largest has no more."""
+    largest = float(np.abs(splats.mean).max())
     if largest > _POSITION_MOST:
         raise ValueError(f"a position is at {largest:.6g}, but SPZ positions are below 2^23")
-    return min(_FRACTION_MOST, 22 - int(np.floor(np.log2(max(largest, 1.0)))))
+    most = min(_FRACTION_MOST, 22 - int(np.floor(np.log2(max(largest, 1.0)))))
+    axis = float(np.quantile(splats.scale.max(axis=1), _QUANTILE)) / np.log(2)
+    return int(np.clip(np.ceil(-np.log2(_STEP_SHARE) - axis), 0, most))
 
 
 def _packed(largest: NDArray[np.int64], negative: NDArray[np.bool_], magnitude: NDArray[np.uint32]) -> NDArray:

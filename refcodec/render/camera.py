@@ -235,6 +235,19 @@ def nearest_axis(direction: F64) -> int:
     return 2 * axis + int(direction[axis] < 0)
 
 
+def scene_up(up_axis: int, stated: Sequence[NamedCamera]) -> F64:
+    """Returns the up direction of a scene, a unit vector, float64 [3].
+
+    up_axis states the nearest world axis (SPEC 6.5). The cameras of a file refine it to a level horizon, unless they
+    contradict up_axis or do not determine it.
+    """
+    axis, level = axis_direction(up_axis), level_up([default_camera(camera) for camera in stated])
+    if level is None:
+        return axis
+    level *= np.copysign(1.0, level @ axis)
+    return level if nearest_axis(level) == up_axis else axis
+
+
 def up_axis(cameras: Sequence[Camera], points: F64) -> int:
     """SPEC 6.5: returns the number of the world's axis that is nearest to what is up (up_direction)."""
     return nearest_axis(up_direction(cameras, points))

@@ -67,6 +67,16 @@ def check_view_dependent(info: RenderInfo) -> None:
         )
 
 
+def check_static(info: RenderInfo) -> None:
+    """Raises RenderModelError for a scene that is not static, and thus has no plain Gaussians."""
+    check_render_model(info)
+    if info.render_model != STATIC:
+        raise RenderModelError(
+            "the scene is not static, because its Gaussians depend on the view: `refcodec export FILE -o OUTPUT` fits "
+            "plain Gaussians to its views (SPEC.md 6.5)"
+        )
+
+
 def _network(layers: list[Layer], values: NDArray) -> NDArray:
     """SPEC 14.3, RENDER_NETWORK."""
     for number, (weight, bias) in enumerate(layers):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import replace
 from functools import cached_property
 
@@ -18,7 +18,7 @@ from ..bitstream.reconstruction import gaussians as splat_of
 from ..bitstream.reconstruction import reconstruct
 from ..bitstream.scene import Scene
 from ..folder.uncompressed import Uncompressed
-from .camera import Camera, axis_direction, check_camera, default_camera, level_up, nearest_axis
+from .camera import Camera, axis_direction, check_camera, default_camera, scene_up
 from .gaussians import Gaussians, check_render_model, gaussians, static_gaussians
 from .rasterise import image
 
@@ -120,19 +120,6 @@ def stated_cameras(scene: Scene | Uncompressed) -> list[NamedCamera]:
 def default_view(scene: Scene | Uncompressed) -> NamedCamera:
     """Returns the default view of a scene, which is at the world origin without cameras."""
     return next(iter(stated_cameras(scene)), NamedCamera())
-
-
-def scene_up(up_axis: int, stated: Sequence[NamedCamera]) -> F64:
-    """Returns the up direction of a scene, a unit vector, float64 [3].
-
-    up_axis states the nearest world axis (SPEC 6.5). The cameras of a file refine it to a level horizon, unless they
-    contradict up_axis or do not determine it.
-    """
-    axis, level = axis_direction(up_axis), level_up([default_camera(camera) for camera in stated])
-    if level is None:
-        return axis
-    level *= np.copysign(1.0, level @ axis)
-    return level if nearest_axis(level) == up_axis else axis
 
 
 def orbit_name(number: int) -> str:

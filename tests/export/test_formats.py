@@ -260,10 +260,10 @@ def test_spz_is_near(degree: int) -> None:
     """Each number is as near as its bits allow."""
     splats = splats_of(2000, degree)
     held = splat_file(splats, ".spz", UP).splats
-    largest = float(np.abs(splats.mean).max())
-    # The largest position takes the 23 bits beside the sign, all but one at least.
-    assert np.abs(held.mean - splats.mean).max() <= largest * 2.0**-22
-    for name, step, limit in (("base", 1 / 0.15 / 255, 0.5 / 0.15), ("rest", 1 / 128, 0.99), ("scale", 1 / 16, 99.0)):
+    # A step of positions is at most a 64th of the short axes.
+    axis = float(np.exp(np.quantile(splats.scale.max(axis=1), 0.1)))
+    assert np.abs(held.mean - splats.mean).max() <= 0.51 * axis / 64
+    for name, step, limit in (("base", 1 / 0.15 / 255, 0.5 / 0.15), ("rest", 1 / 64, 0.98), ("scale", 1 / 16, 99.0)):
         error = np.abs(getattr(held, name) - np.clip(getattr(splats, name), -limit, limit))
         assert error.max(initial=0) <= 0.51 * step, name
     assert np.abs(opacities(held) - opacities(splats)).max() <= 0.51 / 255

@@ -24,11 +24,12 @@ from refcodec.render.camera import (
     default_camera,
     level_up,
     nearest_axis,
+    scene_up,
     spread_cameras,
     up_axis,
     up_direction,
 )
-from refcodec.render.view import View, looking, scene_up
+from refcodec.render.view import View, looking
 
 Rig = tuple[list[Camera], np.ndarray]
 Z = np.array([0.0, 0.0, 1.0])
