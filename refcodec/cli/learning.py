@@ -79,6 +79,8 @@ def _settings(arguments: argparse.Namespace) -> TrainSettings:
         "steps": arguments.steps,
         "size": arguments.size,
         "seed": arguments.seed,
+        "static": arguments.static or None,
+        "degree": arguments.degree,
     }
     return train_options.settings(arguments, base, own)
 
@@ -316,6 +318,17 @@ def add(commands: Any) -> None:
         metavar="L",
         help="lambda_r, the weight of the rate: usually 0.002 to 0.04, or 0 for an uncompressed Scaffold-GS (default: "
         "0.004)",
+    )
+    train.add_argument(
+        "--static",
+        action="store_true",
+        help="learn a static scene: ordinary 3D Gaussians, whose colours have spherical harmonics",
+    )
+    train.add_argument(
+        "--degree",
+        type=int,
+        choices=(0, 1, 2, 3),
+        help="degree of the harmonics of a static scene (default: the preset's)",
     )
     train.add_argument("--steps", type=positive, metavar="N", help="training steps (default: the preset's)")
     train.add_argument(

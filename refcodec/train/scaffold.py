@@ -14,21 +14,25 @@ from ..bitstream.dimensions import RENDERING
 from ..photographs.photographs import PhotographSet
 from ..render.camera import Camera
 from ..render.gaussians import check_view_dependent
+from ..render.constants import ALPHA_MIN
 from .continued import Beginning, beginning
 from .fit_input import Given
 from .rate_model.columns import Columns
 from .rate_model.model import OFFSETS
 from .rendering_networks import RenderNetworks
 from .settings import TrainSettings
-from .spawn import spawn
+from .spawn import spawn, spawn_static
 from .start import LATTICE_MAX, first_anchors
 from .state import Saved
-from .visible import visible
+from .visible import EXTENT, visible
 
 I64 = NDArray[np.int64]
 
 # The tables of the anchors.
 TABLES = ("features", "offsets", "scalings", "masks")
+
+# The longest axis of a static scene's Gaussian for which Scaffold.visible is right, over its anchor's scaling.
+STATIC_REACH = 2.0
 
 # Mean, quaternion, lengths, opacity and colour of some Gaussians.
 Gaussians = tuple[Tensor, Tensor, Tensor, Tensor, Tensor]
@@ -69,7 +73,8 @@ class Scaffold:
         self.tables["features"][:, :3] = torch.from_numpy(start.colours).float()
         self.tables["scalings"][:] = torch.from_numpy(np.log(start.sizes)).float()[:, None]
         self.tables["masks"].fill_(settings.masks.start)
-        self.networks = RenderNetworks(self.columns, generator).to(self.device)
+        degree = settings.degree if settings.static else None
+        self.networks = RenderNetworks(self.columns, generator, degree=degree).to(self.device)
         self.place()
 
     def _go_on(self, first: Beginning, settings: TrainSettings, generator: torch.Generator) -> None:
@@ -109,7 +114,9 @@ class Scaffold:
 
     def visible(self, camera: Camera) -> Tensor:
         """The anchors that a camera, in training units, may see: int64 [n], ascending (visible.visible)."""
-        return visible(self.position, self.tables, self.units.length, camera, self.near)
+        # Axes of a static scene may be longer than their scalings.
+        extent = EXTENT if self.networks.degree is None else STATIC_REACH * EXTENT
+        return visible(self.position, self.tables, self.units.length, camera, self.near, extent)
 
     def views(self, cameras: list[Camera]) -> Tensor:
         """How often each anchor is visible, over the mean of all: float32 [N], the weight in the masks' rule."""
@@ -121,22 +128,24 @@ class Scaffold:
     def gaussians(
         self, rows: Tensor, camera: Camera, values: dict[str, Tensor], masks: Tensor | None
     ) -> tuple[Tensor, Gaussians, Tensor]:
-        """SPEC 14.3 in training units: the Gaussians of the anchors `rows`, with these values and masks, for a camera.
+        """SPEC 14.3 or 14.6 in training units: the Gaussians of the anchors `rows`, with these values and masks.
 
         Returns the offsets that are drawn, int64 indices into [n, K]; their Gaussians; all opacities [n, K].
         """
-        position = self.position[rows]
-        away = position - self._moved(camera.centre)
-        distance = away.norm(dim=1, keepdim=True).clamp_min(1e-12)
-        opacity, covariance, colour = self.networks(torch.cat([values["features"], away / distance, distance], dim=1))
+        position, centre, static = self.position[rows], self._moved(camera.centre), self.networks.degree is not None
+        inputs = values["features"]
+        if not static:
+            away = position - centre
+            distance = away.norm(dim=1, keepdim=True).clamp_min(1e-12)
+            inputs = torch.cat([inputs, away / distance, distance], dim=1)
+        opacity, covariance, colour = self.networks(inputs)
         if masks is not None:
             opacity = opacity * masks
         flat = opacity.reshape(-1)
-        chosen = torch.nonzero(flat.detach() > 0)[:, 0]
+        chosen = torch.nonzero(flat.detach() > (ALPHA_MIN if static else 0))[:, 0]
         scalings = values["scalings"] - math.log(self.units.length)
-        mean, quaternion, lengths, rgb = spawn(
-            chosen, self.columns.offsets, position, values["offsets"], scalings, covariance, colour
-        )
+        arrays = chosen, self.columns.offsets, position, values["offsets"], scalings, covariance, colour
+        mean, quaternion, lengths, rgb = spawn_static(*arrays, centre) if static else spawn(*arrays)
         return chosen, (mean, quaternion, lengths, flat[chosen], rgb), opacity
 
     def keep(self, rows: I64) -> None:

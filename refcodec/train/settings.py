@@ -393,6 +393,10 @@ class TrainSettings:
     holdout: int = setting(
         8, "every N-th photograph by name is held out, 0 for none; a data set's own split comes before it", GS, low=0
     )
+    static: bool = setting(
+        False, "whether the scene is static: its Gaussians do not depend on the view, but their colours have harmonics"
+    )
+    degree: int = setting(1, "degree of the harmonics of a static scene", low=0, high=3)
     start: StartSettings = StartSettings()
     loss: LossSettings = LossSettings()
     growth: GrowthSettings = GrowthSettings()

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from ...bitstream.networks import WEIGHT_MAX
 from ..losses import photometric
 from ..scaffold import Scaffold
 from ..schedule import Clock
@@ -19,6 +20,10 @@ from ..stage import Stage
 from ..state import Saved
 from ..views import Views
 from .rate import Rate
+
+
+# Bits of WEIGHT_MAX and a sign.
+STATIC_BITS = WEIGHT_MAX.bit_length() + 1
 
 
 class Grids(Stage):
@@ -52,9 +57,14 @@ class Grids(Stage):
     @torch.no_grad()
     def _choose(self) -> None:
         """Takes the grids of the least loss, the rendering networks' first, then the coding networks'."""
-        settings = self.settings.weights
+        settings, networks = self.settings.weights, self.scaffold.networks
+        bits = settings.rendering_bits
+        if networks.degree is not None:
+            networks.set_units(self.scaffold.tables["features"])
+            # SPEC 7.2: the integers of a static scene's networks.
+            bits = min(bits[0], STATIC_BITS), min(bits[1], STATIC_BITS)
         for grid, (least, most) in (
-            (self.scaffold.networks.set_grid, settings.rendering_bits),
+            (networks.set_grid, bits),
             (self.rate.started().set_grid, settings.coarser),
         ):
             losses = []
