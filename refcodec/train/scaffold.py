@@ -21,7 +21,7 @@ from .rate_model.columns import Columns
 from .rate_model.model import OFFSETS
 from .rendering_networks import RenderNetworks
 from .settings import TrainSettings
-from .spawn import spawn, spawn_static
+from .spawn import spawn
 from .start import LATTICE_MAX, first_anchors
 from .state import Saved
 from .visible import EXTENT, visible
@@ -144,8 +144,8 @@ class Scaffold:
         flat = opacity.reshape(-1)
         chosen = torch.nonzero(flat.detach() > (ALPHA_MIN if static else 0))[:, 0]
         scalings = values["scalings"] - math.log(self.units.length)
-        arrays = chosen, self.columns.offsets, position, values["offsets"], scalings, covariance, colour
-        mean, quaternion, lengths, rgb = spawn_static(*arrays, centre) if static else spawn(*arrays)
+        arrays = position, values["offsets"], scalings, covariance, colour
+        mean, quaternion, lengths, rgb = spawn(chosen, self.columns.offsets, *arrays, centre if static else None)
         return chosen, (mean, quaternion, lengths, flat[chosen], rgb), opacity
 
     def keep(self, rows: I64) -> None:
