@@ -82,7 +82,12 @@ def _settings(arguments: argparse.Namespace) -> TrainSettings:
         "static": arguments.static or None,
         "degree": arguments.degree,
     }
-    return train_options.settings(arguments, base, own)
+    chosen = train_options.settings(arguments, base, own)
+    if chosen.static and arguments.start:
+        raise UsageError("--from continues a view-dependent scene: omit --static")
+    if arguments.degree is not None and not chosen.static:
+        raise UsageError("--degree is that of a static scene: add --static")
+    return chosen
 
 
 def _interrupted(done: int, steps: int, state: Path) -> int:

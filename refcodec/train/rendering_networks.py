@@ -103,8 +103,8 @@ class RenderNetworks(nn.Module):
         """SPEC B.5: sets the units of features and of hidden units of a static scene. features: all, [N, F]."""
         self.feature_unit.fill_(FULL / max(float(features.abs().max()), 1e-6))
         for name, hidden in zip(RENDERING, self._hidden(features, dict(self.named_parameters())), strict=True):
-            largest = hidden.amax(dim=0)
-            self.get_buffer(f"{name}_unit").copy_(torch.where(largest > 1e-6, FULL / largest.clamp_min(1e-6), 1.0))
+            # A unit that is hardly used needs no precision, and its first weights must not exceed WEIGHT_MAX.
+            self.get_buffer(f"{name}_unit").copy_(FULL / hidden.amax(dim=0).clamp_min(FULL / 2**OUTPUT_BITS))
 
     @torch.no_grad()
     def set_grid(self, bits: int) -> None:

@@ -434,6 +434,8 @@ class TrainSettings:
                 f"entropy.slices has {features} features, but must have {COLOURS}, which begin as an anchor's "
                 f"colour, to {FEATURES_MAX}"
             )
+        if self.static and not self.rate.weight:
+            raise ValueError("static is true, but an uncompressed scene (rate.weight = 0) must be view-dependent")
         for name in ("rendering_bits", "coarser"):
             least, most = getattr(self.weights, name)
             if least > most:
