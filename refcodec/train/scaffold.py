@@ -24,15 +24,12 @@ from .settings import TrainSettings
 from .spawn import spawn
 from .start import LATTICE_MAX, first_anchors
 from .state import Saved
-from .visible import EXTENT, visible
+from .visible import visible
 
 I64 = NDArray[np.int64]
 
 # The tables of the anchors.
 TABLES = ("features", "offsets", "scalings", "masks")
-
-# The longest axis of a static scene's Gaussian for which Scaffold.visible is right, over its anchor's scaling.
-STATIC_REACH = 2.0
 
 # Mean, quaternion, lengths, opacity and colour of some Gaussians.
 Gaussians = tuple[Tensor, Tensor, Tensor, Tensor, Tensor]
@@ -43,7 +40,8 @@ class Scaffold:
 
     columns: those of the attributes. tables: float32 [N, columns] each: features, offsets (in units of
     exp(scalings[:3])), scalings (natural logarithms of world lengths) and masks (logits). first, second: their moments
-    (adam.adam_torch). lattice: int64 [N, 3], cells from the grid's origin. position: float32 [N, 3], training units.
+    (adam.adam_torch). stretch: float32 [N], the natural logarithm of the longest axis of a Gaussian of a static scene over
+    its anchor's scaling, at most, as of the last `measure`; otherwise 0. lattice: int64 [N, 3], cells from the grid's origin. position: float32 [N, 3], training units.
 
     The lattice is an array. All other values are tensors on the device of the training run.
     """
@@ -103,6 +101,7 @@ class Scaffold:
     def place(self) -> None:
         """Sets the positions; must be called after the lattice has changed."""
         self.position = self._moved(self.lattice * self.units.cell)
+        self.measure()
 
     def _moved(self, values: NDArray[Any]) -> Tensor:
         """Values as float32 on the training's device."""
@@ -114,9 +113,20 @@ class Scaffold:
 
     def visible(self, camera: Camera) -> Tensor:
         """The anchors that a camera, in training units, may see: int64 [n], ascending (visible.visible)."""
-        # Axes of a static scene may be longer than their scalings.
-        extent = EXTENT if self.networks.degree is None else STATIC_REACH * EXTENT
-        return visible(self.position, self.tables, self.units.length, camera, self.near, extent)
+        tables = self.tables
+        if self.networks.degree is not None:
+            scalings = tables["scalings"].clone()
+            scalings[:, 3:] += self.stretch[:, None]
+            tables = {**tables, "scalings": scalings}
+        return visible(self.position, tables, self.units.length, camera, self.near)
+
+    @torch.no_grad()
+    def measure(self) -> None:
+        """Sets `stretch`, which the networks of a static scene determine."""
+        self.stretch = torch.zeros(self.count, device=self.device)
+        if self.networks.degree is not None:
+            _, covariance, _ = self.networks(self.tables["features"])
+            self.stretch = covariance.reshape(self.count, -1, 7)[:, :, :3].amax(dim=(1, 2))
 
     def views(self, cameras: list[Camera]) -> Tensor:
         """How often each anchor is visible, over the mean of all: float32 [N], the weight in the masks' rule."""
@@ -169,7 +179,7 @@ class Scaffold:
         tables = (("tables", self.tables), ("first", self.first), ("second", self.second))
         tensors = {f"{kind}.{name}": value for kind, named in tables for name, value in named.items()}
         networks = {f"networks.{name}": value for name, value in self.networks.state_dict().items()}
-        return {**tensors, **networks, "lattice": torch.from_numpy(self.lattice)}
+        return {**tensors, **networks, "lattice": torch.from_numpy(self.lattice), "stretch": self.stretch}
 
     def restore(self, state: Saved) -> None:
         """Restores the values of `state`. Raises ValueError."""
@@ -181,3 +191,4 @@ class Scaffold:
                 tables[name] = state.tensor(f"{kind}.{name}", shape, low=low).to(self.device)
         state.module("networks.", self.networks)
         self.place()
+        self.stretch = state.tensor("stretch", (self.count,)).to(self.device)

@@ -30,9 +30,7 @@ def _sides(camera: Camera) -> list[list[float]]:
     return sides
 
 
-def visible_torch(
-    position: Tensor, tables: dict[str, Tensor], length: float, camera: Camera, near: float, extent: float = EXTENT
-) -> Tensor:
+def visible_torch(position: Tensor, tables: dict[str, Tensor], length: float, camera: Camera, near: float) -> Tensor:
     """The anchors that have a Gaussian which a camera may see: int64 [n], ascending.
 
     No anchor that could be drawn is left out. An anchor reaches as far as its farthest offset and the longest axes of
@@ -44,7 +42,6 @@ def visible_torch(
         length: the length of a training unit in the world.
         camera: in training units.
         near: the depth at which the view begins.
-        extent: how far a Gaussian reaches, over the exponential of its anchor's scaling.
     """
     offsets = tables["offsets"]
     assert position.shape == (len(offsets), 3)
@@ -54,7 +51,7 @@ def visible_torch(
     p = position @ rotation.T + translation
     lengths = torch.exp(tables["scalings"] - math.log(length))
     reach = offsets.reshape(len(offsets), -1, 3).abs().amax(dim=1).mul_(lengths[:, :3]).norm(dim=1)
-    reach = REACH * (reach + extent * lengths[:, 3:].amax(dim=1))
+    reach = REACH * (reach + EXTENT * lengths[:, 3:].amax(dim=1))
     depth = p[:, 2]
     inside = depth > near - reach
     for axis, (skew, half, factor) in enumerate(_sides(camera)):
@@ -62,15 +59,13 @@ def visible_torch(
     return torch.nonzero(inside)[:, 0]
 
 
-def visible(
-    position: Tensor, tables: dict[str, Tensor], length: float, camera: Camera, near: float, extent: float = EXTENT
-) -> Tensor:
+def visible(position: Tensor, tables: dict[str, Tensor], length: float, camera: Camera, near: float) -> Tensor:
     """visible_torch, in a kernel on CPUs."""
     if not has_kernel(position):
-        return visible_torch(position, tables, length, camera, near, extent)
+        return visible_torch(position, tables, length, camera, near)
     arrays = (v.numpy() for v in (position, tables["offsets"], tables["scalings"]))
     view = np.column_stack([camera.rotation, camera.translation]).astype(np.float32)
     sides = np.array(_sides(camera), np.float32)
-    constants = np.float32(REACH), np.float32(extent)
+    constants = np.float32(REACH), np.float32(EXTENT)
     seen = visible_rows(*arrays, np.float32(math.log(length)), view, np.float32(near), sides, *constants)
     return torch.from_numpy(np.flatnonzero(seen))
