@@ -333,7 +333,7 @@ def add(commands: Any) -> None:
         "--degree",
         type=int,
         choices=(0, 1, 2, 3),
-        help="degree of the harmonics of a static scene (default: the preset's)",
+        help="degree of the harmonics of a static scene (default: rate and distortion choose it)",
     )
     train.add_argument("--steps", type=positive, metavar="N", help="training steps (default: the preset's)")
     train.add_argument(

@@ -6,14 +6,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from ..bitstream.attributes import KINDS, SCALINGS, Attributes
 from ..bitstream.cameras import NamedCamera, camera_sections
 from ..bitstream.chunks import chunk_ranges
 from ..bitstream.codec import derive_steps
-from ..bitstream.dimensions import RENDERING, Dimensions
+from ..bitstream.dimensions import Dimensions
 from ..bitstream.header import Lanes, RenderInfo
 from ..bitstream.limits import MAIN
 from ..bitstream.networks import Layer
@@ -115,9 +114,10 @@ def coded_scene(scaffold: Scaffold, rate: Rate, render: RenderInfo, cameras: Seq
     """
     model, kept = rate.started(), rate.masks.decided().cpu().numpy()
     planes = model.symbols(None).detach().cpu().numpy()
-    unit = scaffold.networks.feature_unit
-    first, second, third = (rate.base_step * torch.stack([unit, *torch.ones(2, device=unit.device)])).tolist()
-    base_step = (first, second, third)
+    # SPEC B.5, "Static scenes"
+    unit = float(scaffold.networks.get_buffer("feature_unit"))
+    first, second, third = rate.base_step.tolist()
+    base_step = (float(np.float32(unit * first)), second, third)
     rows = np.flatnonzero(kept.any(axis=1))
     half = lattice_positions(scaffold.lattice[rows])
     order = morton_order(half)
@@ -152,7 +152,7 @@ def coded_scene(scaffold: Scaffold, rate: Rate, render: RenderInfo, cameras: Seq
     )
     steps = derive_steps(scene)
     values = {name: scaffold.tables[name].cpu().numpy()[rows] for name in KINDS}
-    values["features"] = values["features"] * float(unit)
+    values["features"] = values["features"] * np.float32(unit)
     values["offsets"] = np.where(masks[:, :, None], values["offsets"].reshape(count, d.offset_count, 3), np.float32(0))
     features, scalings, offsets = (symbols(values[kind], steps[:, i], base_step[i]) for i, kind in enumerate(KINDS))
     return replace(scene, attributes=Attributes(features, scalings, offsets, steps))

@@ -22,6 +22,8 @@ RENDER_WIDTH = 50
 # SPEC B.5, "Static scenes": the largest feature and the largest value of a hidden unit, where grids begin. The rest up
 # to ACTIVATION_MAX is left for later steps of training.
 FULL = 0.9 * ACTIVATION_MAX
+# Red, green and blue.
+COLOURS = 3
 # The first biases of a static scene: opacities of a tenth, axes of half the length of their scaling.
 OPACITY_START, LENGTH_START = math.log(0.1 / 0.9), math.log(0.5)
 
@@ -29,9 +31,9 @@ OPACITY_START, LENGTH_START = math.log(0.1 / 0.9), math.log(0.5)
 class RenderNetworks(nn.Module):
     """The rendering networks, with one hidden layer each, as torch starts linear layers.
 
-    degree: of the harmonics of a static scene, None for a view-dependent scene. The networks of a static scene have
-    integers in the file (SPEC 9.4). Their buffers *_unit are the integers that stand for 1, of a feature and of each
-    hidden unit.
+    degree: of the harmonics of a static scene, None for a view-dependent scene. It can be lowered: the outputs of
+    higher harmonics are then not used. The networks of a static scene have integers in the file (SPEC 9.4). Their
+    buffers *_unit are the integers that stand for 1, of a feature and of each hidden unit.
     """
 
     def __init__(
@@ -42,8 +44,8 @@ class RenderNetworks(nn.Module):
         self.width, self.degree = width, degree
         # SPEC 6.5
         self.render_model = VIEW_DEPENDENT if degree is None else STATIC
-        self.view_inputs, colour_outputs = RENDER_MODELS[self.render_model]
-        self.colour_outputs = colour_outputs[degree or 0]
+        self.view_inputs, _ = RENDER_MODELS[self.render_model]
+        self._harmonics = self.colour_outputs // COLOURS
         inputs = columns.features + self.view_inputs
         for name, outputs in zip(RENDERING, (1, 7, self.colour_outputs), strict=True):
             shapes = ((inputs, width), (width, outputs * columns.offsets))
@@ -66,11 +68,27 @@ class RenderNetworks(nn.Module):
     def _start_static(self) -> None:
         """First biases of a static scene, whose colours do not depend on the direction at first."""
         p = dict(self.named_parameters())
-        p["opacity_1_bias"] += OPACITY_START
-        p["covariance_1_bias"].view(-1, 7)[:, :3] += LENGTH_START
+        p["opacity_1_bias"].add_(OPACITY_START)
+        p["covariance_1_bias"].view(-1, 7)[:, :3].add_(LENGTH_START)
         for kind in ("weight", "bias"):
-            value = p[f"colour_1_{kind}"]
-            value.view(-1, self.colour_outputs, *value.shape[1:])[:, 3:] = 0
+            self._by_harmonic(p[f"colour_1_{kind}"])[:, 1:] = 0
+
+    @property
+    def colour_outputs(self) -> int:
+        """SPEC 5.3"""
+        return RENDER_MODELS[self.render_model][1][self.degree or 0]
+
+    def _by_harmonic(self, value: Tensor) -> Tensor:
+        """A parameter of the last layer of the colour network, as [K, harmonics, COLOURS, ...]."""
+        return value.view(-1, self._harmonics, COLOURS, *value.shape[1:])
+
+    def _used(self) -> dict[str, Tensor]:
+        """The parameters without those of harmonics that are not used."""
+        p: dict[str, Tensor] = dict(self.named_parameters())
+        for name in ("colour_1_weight", "colour_1_bias"):
+            used = self._by_harmonic(p[name])[:, : self.colour_outputs // COLOURS]
+            p[name] = used.reshape(-1, *p[name].shape[1:])
+        return p
 
     def parameters_of(self, network: str) -> list[nn.Parameter]:
         """Weights and biases of one of the three networks."""
@@ -84,7 +102,7 @@ class RenderNetworks(nn.Module):
         network, _, number = layer.rpartition("_")
         unit = self.get_buffer(f"{network}_unit")
         if number == "0":
-            return unit[:, None] / self.feature_unit if kind == "weight" else unit
+            return unit[:, None] / self.get_buffer("feature_unit") if kind == "weight" else unit
         return 2.0**OUTPUT_BITS / unit if kind == "weight" else 2.0**OUTPUT_BITS
 
     def _steps(self, name: str) -> Tensor:
@@ -93,7 +111,7 @@ class RenderNetworks(nn.Module):
 
     def _values(self) -> dict[str, Tensor]:
         """The parameters, each layer's on its grid if there is one."""
-        p: dict[str, Tensor] = dict(self.named_parameters())
+        p = self._used()
         if not self.gridded:
             return p
         return {name: grid_through(value, self._steps(name) / self._units(name, value)) for name, value in p.items()}
@@ -101,15 +119,15 @@ class RenderNetworks(nn.Module):
     @torch.no_grad()
     def set_units(self, features: Tensor) -> None:
         """SPEC B.5: sets the units of features and of hidden units of a static scene. features: all, [N, F]."""
-        self.feature_unit.fill_(FULL / max(float(features.abs().max()), 1e-6))
-        for name, hidden in zip(RENDERING, self._hidden(features, dict(self.named_parameters())), strict=True):
+        self.get_buffer("feature_unit").fill_(FULL / max(float(features.abs().max()), 1e-6))
+        for name, hidden in zip(RENDERING, self._hidden(features, self._used()), strict=True):
             # A unit that is hardly used needs no precision, and its first weights must not exceed WEIGHT_MAX.
             self.get_buffer(f"{name}_unit").copy_(FULL / hidden.amax(dim=0).clamp_min(FULL / 2**OUTPUT_BITS))
 
     @torch.no_grad()
     def set_grid(self, bits: int) -> None:
         """Makes weights and biases of each layer multiples of a power of two in the file (rendering_exponent)."""
-        for name, value in self.named_parameters():
+        for name, value in self._used().items():
             if name.endswith("_weight"):
                 exponent = rendering_exponent((value * self._units(name, value)).cpu().numpy(), bits)
                 self._steps(name).fill_(2.0**-exponent)
@@ -146,7 +164,7 @@ class RenderNetworks(nn.Module):
     def layers(self) -> dict[str, list[Layer]]:
         """The weights that SPEC 5.8 stores."""
         p = {}
-        for name, value in self.named_parameters():
+        for name, value in self._used().items():
             stored = value * self._units(name, value)
             if self.gridded:
                 stored = torch.floor(stored / self._steps(name) + 0.5) * self._steps(name) + 0.0

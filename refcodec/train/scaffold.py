@@ -13,14 +13,15 @@ from torch import Tensor
 from ..bitstream.dimensions import RENDERING
 from ..photographs.photographs import PhotographSet
 from ..render.camera import Camera
-from ..render.gaussians import check_view_dependent
 from ..render.constants import ALPHA_MIN
+from ..render.gaussians import check_view_dependent
+from ..render.harmonics import DEGREE_MAX
 from .continued import Beginning, beginning
 from .fit_input import Given
 from .rate_model.columns import Columns
 from .rate_model.model import OFFSETS
 from .rendering_networks import RenderNetworks
-from .settings import TrainSettings
+from .settings import CHOSEN, TrainSettings
 from .spawn import spawn
 from .start import LATTICE_MAX, first_anchors
 from .state import Saved
@@ -40,8 +41,9 @@ class Scaffold:
 
     columns: those of the attributes. tables: float32 [N, columns] each: features, offsets (in units of
     exp(scalings[:3])), scalings (natural logarithms of world lengths) and masks (logits). first, second: their moments
-    (adam.adam_torch). stretch: float32 [N], the natural logarithm of the longest axis of a Gaussian of a static scene over
-    its anchor's scaling, at most, as of the last `measure`; otherwise 0. lattice: int64 [N, 3], cells from the grid's origin. position: float32 [N, 3], training units.
+    (adam.adam_torch). lattice: int64 [N, 3], cells from the grid's origin. position: float32 [N, 3], training units.
+    stretch: float32 [N], how much longer an axis of an anchor's Gaussians is than its scaling at most, in natural
+    logarithms, as of the last `measure`; 0 in a view-dependent scene.
 
     The lattice is an array. All other values are tensors on the device of the training run.
     """
@@ -71,7 +73,9 @@ class Scaffold:
         self.tables["features"][:, :3] = torch.from_numpy(start.colours).float()
         self.tables["scalings"][:] = torch.from_numpy(np.log(start.sizes)).float()[:, None]
         self.tables["masks"].fill_(settings.masks.start)
-        degree = settings.degree if settings.static else None
+        degree = None
+        if settings.static:
+            degree = DEGREE_MAX if settings.degree == CHOSEN else settings.degree
         self.networks = RenderNetworks(self.columns, generator, degree=degree).to(self.device)
         self.place()
 

@@ -45,6 +45,8 @@ def setting(
 # SPEC 11.1: the most features and slices of features in Main. The first features begin as a colour.
 FEATURES_MAX, COLOURS = 128, 3
 SLICES_MAX = 16
+# The degree of harmonics that training chooses.
+CHOSEN = -1
 # lambda_r of training, and of a fit that keeps its base steps.
 BASE_RATE = 0.004
 
@@ -396,7 +398,9 @@ class TrainSettings:
     static: bool = setting(
         False, "whether the scene is static: its Gaussians do not depend on the view, but their colours have harmonics"
     )
-    degree: int = setting(1, "degree of the harmonics of a static scene", low=0, high=3)
+    degree: int = setting(
+        CHOSEN, "degree of the harmonics of a static scene; -1: rate and distortion choose it", low=CHOSEN, high=3
+    )
     start: StartSettings = StartSettings()
     loss: LossSettings = LossSettings()
     growth: GrowthSettings = GrowthSettings()

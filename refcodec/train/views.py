@@ -91,7 +91,6 @@ class Views:
         """As show. The Gaussians are the decoder's (SPEC 14.6)."""
         units, device = self.scaffold.units, self.scaffold.device
         g = gaussians_of(scene, camera)
-        mean, lengths = (g.mean - units.origin) / units.length, g.lengths / units.length
-        arrays = (mean, g.quaternion, lengths, g.opacity, g.colour)
-        drawn = tuple(torch.from_numpy(v.astype(np.float32)).to(device) for v in arrays)
-        return self.drawn(drawn, units.camera(camera), None).clamp(0, 1)
+        moved = (g.mean - units.origin) / units.length, g.quaternion, g.lengths / units.length, g.opacity, g.colour
+        mean, quaternion, lengths, *rest = (torch.from_numpy(v.astype(np.float32)).to(device) for v in moved)
+        return self.drawn((mean, quaternion, lengths, rest[0], rest[1]), units.camera(camera), None).clamp(0, 1)

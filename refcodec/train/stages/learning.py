@@ -18,7 +18,6 @@ from ..settings import LearningSettings
 from ..stage import Stage, Step
 from ..state import Saved
 
-
 # Steps between two measurements.
 PERIOD = 20
 
