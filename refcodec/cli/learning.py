@@ -79,14 +79,10 @@ def _settings(arguments: argparse.Namespace) -> TrainSettings:
         "steps": arguments.steps,
         "size": arguments.size,
         "seed": arguments.seed,
-        "static": arguments.static or None,
-        "degree": arguments.degree,
     }
     chosen = train_options.settings(arguments, base, own)
     if chosen.static and arguments.start:
         raise UsageError("--from continues a view-dependent scene: omit --static")
-    if arguments.degree is not None and not chosen.static:
-        raise UsageError("--degree is that of a static scene: add --static")
     return chosen
 
 
@@ -277,6 +273,7 @@ def add(commands: Any) -> None:
             "train photographs -o scene --anchors 20000 --background white --holdout 0",
             "train photographs -o scene --resume --steps 12000",
             "train photographs -o scene --log scene.csv",
+            "train photographs -o scene --static",
             "train photographs -o scaffold --rate 0",
             "train photographs -o scene --set masks.epsilon=0.0004 --set growth.most=60000",
             "train --preset paper --print-settings > settings.toml",
@@ -323,17 +320,6 @@ def add(commands: Any) -> None:
         metavar="L",
         help="lambda_r, the weight of the rate: usually 0.002 to 0.04, or 0 for an uncompressed Scaffold-GS (default: "
         "0.004)",
-    )
-    train.add_argument(
-        "--static",
-        action="store_true",
-        help="learn a static scene: ordinary 3D Gaussians, whose colours have spherical harmonics",
-    )
-    train.add_argument(
-        "--degree",
-        type=int,
-        choices=(0, 1, 2, 3),
-        help="degree of the harmonics of a static scene (default: rate and distortion choose it)",
     )
     train.add_argument("--steps", type=positive, metavar="N", help="training steps (default: the preset's)")
     train.add_argument(

@@ -24,6 +24,8 @@ RENDER_WIDTH = 50
 FULL = 0.9 * ACTIVATION_MAX
 # Red, green and blue.
 COLOURS = 3
+# A parameter of a higher harmonic is this times its learned value: 3DGS learns them more slowly, too.
+HIGHER = 0.3
 # The first biases of a static scene: opacities of a tenth, axes of half the length of their scaling.
 OPACITY_START, LENGTH_START = math.log(0.1 / 0.9), math.log(0.5)
 
@@ -83,10 +85,12 @@ class RenderNetworks(nn.Module):
         return value.view(-1, self._harmonics, COLOURS, *value.shape[1:])
 
     def _used(self) -> dict[str, Tensor]:
-        """The parameters without those of harmonics that are not used."""
+        """The parameters as forward has them, without those of harmonics that are not used."""
         p: dict[str, Tensor] = dict(self.named_parameters())
         for name in ("colour_1_weight", "colour_1_bias"):
             used = self._by_harmonic(p[name])[:, : self.colour_outputs // COLOURS]
+            if self.degree:
+                used = torch.cat([used[:, :1], HIGHER * used[:, 1:]], dim=1)
             p[name] = used.reshape(-1, *p[name].shape[1:])
         return p
 

@@ -483,6 +483,15 @@ class FitSettings:
     scene: QuantisationSettings = QuantisationSettings(offsets=0.025)
 
 
+# What differs in a training of a static scene, by own measurements (docs/method.md).
+STATIC_CHANGES = {
+    "static": True,
+    "masks.share": 0.9,
+    "learning.opacity.start": 0.016,
+    "learning.opacity.end": 0.001,
+    "learning.covariance.start": 0.008,
+}
+
 # fast: minutes on two cores.
 # paper: the paper's steps and features, Scaffold-GS's first voxels, photographs as large as 3DGS takes them.
 PRESETS = {
