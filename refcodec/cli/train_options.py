@@ -44,7 +44,7 @@ def parser() -> argparse.ArgumentParser:
     options.add_argument(
         "--static",
         action="store_true",
-        help="learn a static scene: its Gaussians do not depend on the view, and their colours have spherical harmonics",
+        help="learn a static scene: its Gaussians do not depend on the view, and its colours have spherical harmonics",
     )
     options.add_argument(
         "--degree",

@@ -144,8 +144,8 @@ class Scene(Struct, forbid_unknown_fields=True, kw_only=True):
 class Method(Struct, forbid_unknown_fields=True, kw_only=True):
     """A way to train: a table [[methods]].
 
-    kind: `train` at each rate, or `uncompressed`, once. static: as the option of `train`. changes: as `set` of a scene, and applied after. scenes: names
-    of the only ones that it is for, empty for all.
+    kind: `train` at each rate, or `uncompressed`, once. static: as the option of `train`. changes: as `set` of a scene,
+    and applied after. scenes: names of the only ones that it is for, empty for all.
     """
 
     name: Name
