@@ -128,7 +128,7 @@ It has a table [[scenes]] for each scene:
 It has a table [[methods]] for each method:
   name                  as for scenes
   kind                  train (the default), or uncompressed, which has no rates
-  preset                as for train (default: fast)
+  preset, static        as for train (default: fast, false)
   set                   a list of NAME=VALUE, as for train --set, applied after that of the scene
   scenes                names of scenes, if the method is only for these
 A cell is SCENE/METHOD/rate-R/seed-S: one training, encode, eval --json. It is done if DIR/cells/CELL/result.json is

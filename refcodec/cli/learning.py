@@ -80,7 +80,10 @@ def _settings(arguments: argparse.Namespace) -> TrainSettings:
         "size": arguments.size,
         "seed": arguments.seed,
     }
-    return train_options.settings(arguments, base, own)
+    chosen = train_options.settings(arguments, base, own)
+    if chosen.static and arguments.start:
+        raise UsageError("--from continues a view-dependent scene: omit --static")
+    return chosen
 
 
 def _interrupted(done: int, steps: int, state: Path) -> int:
@@ -270,6 +273,7 @@ def add(commands: Any) -> None:
             "train photographs -o scene --anchors 20000 --background white --holdout 0",
             "train photographs -o scene --resume --steps 12000",
             "train photographs -o scene --log scene.csv",
+            "train photographs -o scene --static",
             "train photographs -o scaffold --rate 0",
             "train photographs -o scene --set masks.epsilon=0.0004 --set growth.most=60000",
             "train --preset paper --print-settings > settings.toml",

@@ -42,6 +42,17 @@ def parser() -> argparse.ArgumentParser:
         "--voxel", type=length, metavar="V", help="edge length of the voxels of the initial anchors, in world units"
     )
     options.add_argument(
+        "--static",
+        action="store_true",
+        help="learn a static scene: its Gaussians do not depend on the view, and its colours have spherical harmonics",
+    )
+    options.add_argument(
+        "--degree",
+        type=int,
+        choices=range(4),
+        help="degree of the harmonics of a static scene (default: chosen by rate and distortion)",
+    )
+    options.add_argument(
         "--set", metavar="NAME=VALUE", action="append", default=[], help="change one setting; repeatable"
     )
     add_up(options)
@@ -65,22 +76,26 @@ def words(arguments: argparse.Namespace) -> tuple[str, ...]:
         ("--holdout", arguments.holdout),
         ("--anchors", arguments.anchors),
         ("--voxel", arguments.voxel),
+        ("--degree", arguments.degree),
         *(("--set", change) for change in arguments.set),
     ]
     # As an argument by itself, -y would be an option.
     up = () if arguments.up is None else (f"--up={arguments.up}",)
-    return (*(word for name, value in given if value is not None for word in (name, str(value))), *up)
+    static = ("--static",) if arguments.static else ()
+    return (*static, *(word for name, value in given if value is not None for word in (name, str(value))), *up)
 
 
 def settings(arguments: argparse.Namespace, base: TrainSettings, own: Mapping[str, Any]) -> TrainSettings:
-    """Returns the settings of `base`, changed by --set, and then by options for single settings.
+    """Returns the settings of `base`, changed by --static, then by --set, and then by options for single settings.
 
     own: the values of further such options by the names of their settings, None if not given. Raises UsageError.
     """
+    from ..train.settings import STATIC_CHANGES
     from ..train.settings_file import SettingsError, assigned, varied
 
     changes = {
         **own,
+        "degree": arguments.degree,
         "background": arguments.background,
         "holdout": arguments.holdout,
         "start.anchors": arguments.anchors,
@@ -89,9 +104,13 @@ def settings(arguments: argparse.Namespace, base: TrainSettings, own: Mapping[st
     }
     try:
         given = {name: value for name, value in changes.items() if value is not None}
-        return varied(assigned(base, arguments.set), given)
+        base = varied(base, STATIC_CHANGES) if arguments.static else base
+        chosen = varied(assigned(base, arguments.set), given)
     except SettingsError as error:
         raise UsageError(str(error)) from None
+    if arguments.degree is not None and not chosen.static:
+        raise UsageError("--degree is that of a static scene: add --static")
+    return chosen
 
 
 def refuse_rate(arguments: argparse.Namespace, advice: str) -> None:

@@ -69,6 +69,7 @@ class Cell:
             *over,
         ]
         words += ["--steps", str(self.steps)] if self.steps else []
+        words += ["--static"] if self.method.static else []
         words += ["--device", self.device] if self.device != "cpu" else []
         words += [word for change in (*self.scene.changes, *self.method.changes) for word in ("--set", change)]
         train = Command(

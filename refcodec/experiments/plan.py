@@ -16,7 +16,7 @@ from msgspec import Meta, Struct, field
 
 from ..files.text import printable
 from ..photographs.photographs import PhotographError, parse_background, parse_size
-from ..train.settings import PRESETS, TrainSettings
+from ..train.settings import PRESETS, STATIC_CHANGES, TrainSettings
 from ..train.settings_file import SettingsError, assigned, varied
 
 # Bounds of the input: bytes of the file, entries of a list, cells.
@@ -50,6 +50,7 @@ _ALLOWED = {
     "set": _CHANGES,
     "kind": "train or uncompressed",
     "preset": " or ".join(PRESETS),
+    "static": "true or false",
     "scenes": f"a list of 1 to {LIST_MAX} tables [[scenes]], or of their names in a method,",
     "methods": f"a list of 1 to {LIST_MAX} tables [[methods]]",
     "seeds": f"a list of 1 to {LIST_MAX} whole numbers from 0 to {SEED_MAX}, each once,",
@@ -143,13 +144,14 @@ class Scene(Struct, forbid_unknown_fields=True, kw_only=True):
 class Method(Struct, forbid_unknown_fields=True, kw_only=True):
     """A way to train: a table [[methods]].
 
-    kind: `train` at each rate, or `uncompressed`, once. changes: as `set` of a scene, and applied after. scenes: names
-    of the only ones that it is for, empty for all.
+    kind: `train` at each rate, or `uncompressed`, once. static: as the option of `train`. changes: as `set` of a scene,
+    and applied after. scenes: names of the only ones that it is for, empty for all.
     """
 
     name: Name
     kind: Literal["train", "uncompressed"] = "train"
     preset: str = "fast"
+    static: bool = False
     changes: Texts = field(default=(), name="set")
     scenes: Texts = ()
 
@@ -216,7 +218,9 @@ class Experiment:
             "seed": seed,
         }
         try:
-            settings = assigned(PRESETS[method.preset], (*scene.changes, *method.changes))
+            preset = PRESETS[method.preset]
+            base = varied(preset, STATIC_CHANGES) if method.static else preset
+            settings = assigned(base, (*scene.changes, *method.changes))
             return varied(settings, {name: value for name, value in options.items() if value is not None})
         except SettingsError as error:
             raise ExperimentError(f"method {method.name} of scene {scene.name}: {error}") from None

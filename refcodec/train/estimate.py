@@ -61,9 +61,9 @@ def coded_bytes(scaffold: Scaffold, rate: Rate) -> dict[str, float]:
     share = kept[some].double().mean(dim=0).clamp(1e-9, 1 - 1e-9)
     entropy = -(share * share.log2() + (1 - share) * (1 - share).log2()).sum()
     lanes = choose_lanes(scaffold.count, 2.0 * scaffold.columns.width)
-    rendering = scaffold.networks.layers()
+    layers = scaffold.networks.layers()
     if not scaffold.networks.gridded:
-        rendering = quantise_rendering(rendering, RENDERING_BITS)
+        layers = quantise_rendering(layers, RENDERING_BITS)
     kinds = dict(zip(KINDS, (bits / 8).tolist(), strict=True))
     return {
         "positions": position_bytes(scaffold.lattice[some.cpu().numpy()], lanes),
@@ -71,5 +71,5 @@ def coded_bytes(scaffold: Scaffold, rate: Rate) -> dict[str, float]:
         **kinds,
         "masks": float(entropy) * int(some.sum()) / 8,
         "planes": planes / 8,
-        "weights": weight_bytes(rate.started(), rendering, lanes),
+        "weights": weight_bytes(rate.started(), scaffold.networks, layers, lanes),
     }

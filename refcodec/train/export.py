@@ -12,7 +12,7 @@ from ..bitstream.attributes import KINDS, SCALINGS, Attributes
 from ..bitstream.cameras import NamedCamera, camera_sections
 from ..bitstream.chunks import chunk_ranges
 from ..bitstream.codec import derive_steps
-from ..bitstream.dimensions import RENDERING, Dimensions
+from ..bitstream.dimensions import Dimensions
 from ..bitstream.header import Lanes, RenderInfo
 from ..bitstream.limits import MAIN
 from ..bitstream.networks import Layer
@@ -32,6 +32,7 @@ from ..photographs.photographs import PhotographSet
 from ..render.camera import up_axis
 from .rate_model.model import RateModel
 from .rate_model.units import PLANE_SHIFT
+from .rendering_networks import RenderNetworks
 from .scaffold import Scaffold
 from .stages.rate import Rate
 from .start import lattice_positions
@@ -44,6 +45,7 @@ def render_info(scaffold: Scaffold, photographs: PhotographSet) -> RenderInfo:
         up_axis=up_axis([p.camera for p in photographs.train], photographs.points),
         near_plane=float(np.float32(scaffold.near * scaffold.units.length)),
         distance_unit=scaffold.units.length,
+        render_model=scaffold.networks.render_model,
     )
 
 
@@ -58,8 +60,8 @@ def uncompressed(scaffold: Scaffold, render: RenderInfo, cameras: Sequence[Named
     return Uncompressed(values, np.ones((n, k), bool), scaffold.networks.layers(), render, tuple(cameras))
 
 
-def _dimensions(model: RateModel, coding: dict[str, list[Layer]], render_width: int) -> Dimensions:
-    """SPEC 5.3, of a model. coding: its networks. render_width: of the rendering networks."""
+def _dimensions(model: RateModel, coding: dict[str, list[Layer]], rendering: RenderNetworks) -> Dimensions:
+    """SPEC 5.3, of a model. coding: its networks."""
     hyper, sarm, carm = (
         tuple(len(bias) for _, bias in coding.get(name, [])[:-1]) for name in ("hyper", "sarm", "carm.1")
     )
@@ -67,15 +69,28 @@ def _dimensions(model: RateModel, coding: dict[str, list[Layer]], render_width: 
     frequencies = coding["hyper"][0][0].shape[1] // 2 - channels
     columns = model.columns
     return Dimensions(
-        columns.offsets, columns.slices, channels, frequencies, plane_size, hyper, sarm, carm, render_width
+        columns.offsets,
+        columns.slices,
+        channels,
+        frequencies,
+        plane_size,
+        hyper,
+        sarm,
+        carm,
+        rendering.width,
+        rendering.view_inputs,
+        rendering.colour_outputs,
     )
 
 
-def weight_bytes(model: RateModel, rendering: dict[str, list[Layer]], lanes: Lanes) -> int:
-    """Bytes of the section of weights in mode 1 (SPEC 5.8), with its padding. Raises networks.BoundError."""
+def weight_bytes(model: RateModel, rendering: RenderNetworks, layers: dict[str, list[Layer]], lanes: Lanes) -> int:
+    """Bytes of the section of weights in mode 1 (SPEC 5.8), with its padding. layers: of the rendering networks.
+
+    Raises networks.BoundError.
+    """
     coding = model.networks()
-    d = _dimensions(model, coding, len(rendering[RENDERING[0]][0][1]))
-    networks = exact_networks({name: {**coding, **rendering}[name] for name in d.network_shapes()})
+    d = _dimensions(model, coding, rendering)
+    networks = exact_networks({name: {**coding, **layers}[name] for name in d.network_shapes()})
     content = emit_weights(
         PLANE_SHIFT, np.zeros(d.carm_inputs, np.uint8), networks, weight_scales(networks), d, 1 << lanes.attribute
     )
@@ -99,15 +114,17 @@ def coded_scene(scaffold: Scaffold, rate: Rate, render: RenderInfo, cameras: Seq
     """
     model, kept = rate.started(), rate.masks.decided().cpu().numpy()
     planes = model.symbols(None).detach().cpu().numpy()
+    # SPEC B.5, "Static scenes"
+    unit = float(scaffold.networks.get_buffer("feature_unit"))
     first, second, third = rate.base_step.tolist()
-    base_step = (first, second, third)
+    base_step = (float(np.float32(unit * first)), second, third)
     rows = np.flatnonzero(kept.any(axis=1))
     half = lattice_positions(scaffold.lattice[rows])
     order = morton_order(half)
     rows, half = rows[order], half[order]
     count, masks = len(rows), kept[rows]
     networks = {**model.networks(), **scaffold.networks.layers()}
-    d = _dimensions(model, networks, scaffold.networks.width)
+    d = _dimensions(model, networks, scaffold.networks)
     empty = Attributes(
         np.zeros((count, d.features), np.int32),
         np.zeros((count, SCALINGS), np.int32),
@@ -135,6 +152,7 @@ def coded_scene(scaffold: Scaffold, rate: Rate, render: RenderInfo, cameras: Seq
     )
     steps = derive_steps(scene)
     values = {name: scaffold.tables[name].cpu().numpy()[rows] for name in KINDS}
+    values["features"] = values["features"] * np.float32(unit)
     values["offsets"] = np.where(masks[:, :, None], values["offsets"].reshape(count, d.offset_count, 3), np.float32(0))
     features, scalings, offsets = (symbols(values[kind], steps[:, i], base_step[i]) for i, kind in enumerate(KINDS))
     return replace(scene, attributes=Attributes(features, scalings, offsets, steps))

@@ -13,13 +13,15 @@ from torch import Tensor
 from ..bitstream.dimensions import RENDERING
 from ..photographs.photographs import PhotographSet
 from ..render.camera import Camera
+from ..render.constants import ALPHA_MIN
 from ..render.gaussians import check_view_dependent
+from ..render.harmonics import DEGREE_MAX
 from .continued import Beginning, beginning
 from .fit_input import Given
 from .rate_model.columns import Columns
 from .rate_model.model import OFFSETS
 from .rendering_networks import RenderNetworks
-from .settings import TrainSettings
+from .settings import CHOSEN, TrainSettings
 from .spawn import spawn
 from .start import LATTICE_MAX, first_anchors
 from .state import Saved
@@ -40,6 +42,8 @@ class Scaffold:
     columns: those of the attributes. tables: float32 [N, columns] each: features, offsets (in units of
     exp(scalings[:3])), scalings (natural logarithms of world lengths) and masks (logits). first, second: their moments
     (adam.adam_torch). lattice: int64 [N, 3], cells from the grid's origin. position: float32 [N, 3], training units.
+    stretch: float32 [N], how much longer an axis of an anchor's Gaussians is than its scaling at most, in natural
+    logarithms, as of the last `measure`; 0 in a view-dependent scene.
 
     The lattice is an array. All other values are tensors on the device of the training run.
     """
@@ -69,7 +73,10 @@ class Scaffold:
         self.tables["features"][:, :3] = torch.from_numpy(start.colours).float()
         self.tables["scalings"][:] = torch.from_numpy(np.log(start.sizes)).float()[:, None]
         self.tables["masks"].fill_(settings.masks.start)
-        self.networks = RenderNetworks(self.columns, generator).to(self.device)
+        degree = None
+        if settings.static:
+            degree = DEGREE_MAX if settings.degree == CHOSEN else settings.degree
+        self.networks = RenderNetworks(self.columns, generator, degree=degree).to(self.device)
         self.place()
 
     def _go_on(self, first: Beginning, settings: TrainSettings, generator: torch.Generator) -> None:
@@ -98,6 +105,7 @@ class Scaffold:
     def place(self) -> None:
         """Sets the positions; must be called after the lattice has changed."""
         self.position = self._moved(self.lattice * self.units.cell)
+        self.measure()
 
     def _moved(self, values: NDArray[Any]) -> Tensor:
         """Values as float32 on the training's device."""
@@ -109,7 +117,20 @@ class Scaffold:
 
     def visible(self, camera: Camera) -> Tensor:
         """The anchors that a camera, in training units, may see: int64 [n], ascending (visible.visible)."""
-        return visible(self.position, self.tables, self.units.length, camera, self.near)
+        tables = self.tables
+        if self.networks.degree is not None:
+            scalings = tables["scalings"].clone()
+            scalings[:, 3:] += self.stretch[:, None]
+            tables = {**tables, "scalings": scalings}
+        return visible(self.position, tables, self.units.length, camera, self.near)
+
+    @torch.no_grad()
+    def measure(self) -> None:
+        """Sets `stretch`, which the networks of a static scene determine."""
+        self.stretch = torch.zeros(self.count, device=self.device)
+        if self.networks.degree is not None:
+            _, covariance, _ = self.networks(self.tables["features"])
+            self.stretch = covariance.reshape(self.count, -1, 7)[:, :, :3].amax(dim=(1, 2))
 
     def views(self, cameras: list[Camera]) -> Tensor:
         """How often each anchor is visible, over the mean of all: float32 [N], the weight in the masks' rule."""
@@ -121,22 +142,24 @@ class Scaffold:
     def gaussians(
         self, rows: Tensor, camera: Camera, values: dict[str, Tensor], masks: Tensor | None
     ) -> tuple[Tensor, Gaussians, Tensor]:
-        """SPEC 14.3 in training units: the Gaussians of the anchors `rows`, with these values and masks, for a camera.
+        """SPEC 14.3 or 14.6 in training units: the Gaussians of the anchors `rows`, with these values and masks.
 
         Returns the offsets that are drawn, int64 indices into [n, K]; their Gaussians; all opacities [n, K].
         """
-        position = self.position[rows]
-        away = position - self._moved(camera.centre)
-        distance = away.norm(dim=1, keepdim=True).clamp_min(1e-12)
-        opacity, covariance, colour = self.networks(torch.cat([values["features"], away / distance, distance], dim=1))
+        position, centre, static = self.position[rows], self._moved(camera.centre), self.networks.degree is not None
+        inputs = values["features"]
+        if not static:
+            away = position - centre
+            distance = away.norm(dim=1, keepdim=True).clamp_min(1e-12)
+            inputs = torch.cat([inputs, away / distance, distance], dim=1)
+        opacity, covariance, colour = self.networks(inputs)
         if masks is not None:
             opacity = opacity * masks
         flat = opacity.reshape(-1)
-        chosen = torch.nonzero(flat.detach() > 0)[:, 0]
+        chosen = torch.nonzero(flat.detach() > (ALPHA_MIN if static else 0))[:, 0]
         scalings = values["scalings"] - math.log(self.units.length)
-        mean, quaternion, lengths, rgb = spawn(
-            chosen, self.columns.offsets, position, values["offsets"], scalings, covariance, colour
-        )
+        arrays = position, values["offsets"], scalings, covariance, colour
+        mean, quaternion, lengths, rgb = spawn(chosen, self.columns.offsets, *arrays, centre if static else None)
         return chosen, (mean, quaternion, lengths, flat[chosen], rgb), opacity
 
     def keep(self, rows: I64) -> None:
@@ -160,7 +183,7 @@ class Scaffold:
         tables = (("tables", self.tables), ("first", self.first), ("second", self.second))
         tensors = {f"{kind}.{name}": value for kind, named in tables for name, value in named.items()}
         networks = {f"networks.{name}": value for name, value in self.networks.state_dict().items()}
-        return {**tensors, **networks, "lattice": torch.from_numpy(self.lattice)}
+        return {**tensors, **networks, "lattice": torch.from_numpy(self.lattice), "stretch": self.stretch}
 
     def restore(self, state: Saved) -> None:
         """Restores the values of `state`. Raises ValueError."""
@@ -172,3 +195,4 @@ class Scaffold:
                 tables[name] = state.tensor(f"{kind}.{name}", shape, low=low).to(self.device)
         state.module("networks.", self.networks)
         self.place()
+        self.stretch = state.tensor("stretch", (self.count,)).to(self.device)

@@ -45,6 +45,8 @@ def setting(
 # SPEC 11.1: the most features and slices of features in Main. The first features begin as a colour.
 FEATURES_MAX, COLOURS = 128, 3
 SLICES_MAX = 16
+# The degree of harmonics that training chooses.
+CHOSEN = -1
 # lambda_r of training, and of a fit that keeps its base steps.
 BASE_RATE = 0.004
 
@@ -393,6 +395,12 @@ class TrainSettings:
     holdout: int = setting(
         8, "every N-th photograph by name is held out, 0 for none; a data set's own split comes before it", GS, low=0
     )
+    static: bool = setting(
+        False, "whether the scene is static: its Gaussians do not depend on the view, but their colours have harmonics"
+    )
+    degree: int = setting(
+        CHOSEN, "degree of the harmonics of a static scene; -1: rate and distortion choose it", low=CHOSEN, high=3
+    )
     start: StartSettings = StartSettings()
     loss: LossSettings = LossSettings()
     growth: GrowthSettings = GrowthSettings()
@@ -430,6 +438,8 @@ class TrainSettings:
                 f"entropy.slices has {features} features, but must have {COLOURS}, which begin as an anchor's "
                 f"colour, to {FEATURES_MAX}"
             )
+        if self.static and not self.rate.weight:
+            raise ValueError("static is true, but an uncompressed scene (rate.weight = 0) must be view-dependent")
         for name in ("rendering_bits", "coarser"):
             least, most = getattr(self.weights, name)
             if least > most:
@@ -472,6 +482,15 @@ class FitSettings:
     # in benchmarks/RESULTS.md, closed studies).
     scene: QuantisationSettings = QuantisationSettings(offsets=0.025)
 
+
+# What differs in a training of a static scene, by own measurements (docs/method.md).
+STATIC_CHANGES = {
+    "static": True,
+    "masks.share": 0.9,
+    "learning.opacity.start": 0.016,
+    "learning.opacity.end": 0.001,
+    "learning.covariance.start": 0.008,
+}
 
 # fast: minutes on two cores.
 # paper: the paper's steps and features, Scaffold-GS's first voxels, photographs as large as 3DGS takes them.

@@ -27,7 +27,7 @@ from ..files.terminal import note
 from ..files.text import printable
 from .settings_file import differences
 
-FORMAT, VERSION = "C3GS training state", "3"
+FORMAT, VERSION = "C3GS training state", "4"
 # The most characters that a message repeats of a value.
 _SHOWN = 60
 

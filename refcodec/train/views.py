@@ -9,10 +9,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from ..bitstream.dimensions import STATIC
 from ..bitstream.reconstruction import reconstruct
 from ..bitstream.scene import Scene
 from ..photographs.photographs import Photograph, PhotographSet
 from ..render.camera import Camera
+from ..render.gaussians import gaussians_of
 from ..render.rasterise import Settings
 from .scaffold import Gaussians, Scaffold
 from .splat import draw
@@ -70,6 +72,8 @@ class Views:
         The networks, units and rasteriser are the training's own, and no anchor is left out.
         """
         held, device = copy(self.scaffold), self.scaffold.device
+        if scene.render.render_model == STATIC:
+            return self._show_static(scene, camera)
         held.lattice = scene.positions.astype(np.int64)
         held.place()
         decoded = reconstruct(scene)
@@ -82,3 +86,11 @@ class Views:
         camera, rows = held.units.camera(camera), torch.arange(scene.anchor_count, device=device)
         _, gaussians, _ = held.gaussians(rows, camera, values, torch.from_numpy(scene.masks).float().to(device))
         return self.drawn(gaussians, camera, None).clamp(0, 1)
+
+    def _show_static(self, scene: Scene, camera: Camera) -> Tensor:
+        """As show. The Gaussians are the decoder's (SPEC 14.6)."""
+        units, device = self.scaffold.units, self.scaffold.device
+        g = gaussians_of(scene, camera)
+        moved = (g.mean - units.origin) / units.length, g.quaternion, g.lengths / units.length, g.opacity, g.colour
+        mean, quaternion, lengths, *rest = (torch.from_numpy(v.astype(np.float32)).to(device) for v in moved)
+        return self.drawn((mean, quaternion, lengths, rest[0], rest[1]), units.camera(camera), None).clamp(0, 1)

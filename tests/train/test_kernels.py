@@ -16,17 +16,24 @@ from refcodec.train.rate_model.model import OFFSETS
 from refcodec.train.spawn import spawn_torch
 
 
-@given(seed=st.integers(0, 1 << 20), anchors=st.integers(1, 20), share=st.floats(0, 1))
-def test_spawn(seed: int, anchors: int, share: float) -> None:
+@given(
+    seed=st.integers(0, 1 << 20),
+    anchors=st.integers(1, 20),
+    share=st.floats(0, 1),
+    degree=st.none() | st.integers(0, 3),
+)
+def test_spawn(seed: int, anchors: int, share: float, degree: int | None) -> None:
     draw = torch.Generator().manual_seed(seed)
     position = torch.randn(anchors, 3, generator=draw)
-    inputs = [torch.randn(anchors, width, generator=draw) for width in (30, 6, 70, 30)]
+    centre = None if degree is None else torch.randn(3, generator=draw)
+    colours = 30 * ((degree or 0) + 1) ** 2
+    inputs = [torch.randn(anchors, width, generator=draw) for width in (30, 6, 70, colours)]
     chosen = torch.nonzero(torch.rand(anchors * OFFSETS, generator=draw) < share)[:, 0]
     weights = [torch.randn(len(chosen), width, generator=draw) for width in (3, 4, 3, 3)]
     results = []
     for make in (Spawn.apply, spawn_torch):
         values = [v.clone().requires_grad_() for v in inputs]
-        gaussians = make(chosen, OFFSETS, position, *values)
+        gaussians = make(chosen, OFFSETS, position, *values, centre)
         sum((v * w).sum() for v, w in zip(gaussians, weights, strict=True)).backward()
         results.append([*(v.detach() for v in gaussians), *(v.grad for v in values)])
     for compiled, torchs in zip(*results, strict=True):

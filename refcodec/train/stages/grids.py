@@ -11,14 +11,19 @@ from typing import Any
 import numpy as np
 import torch
 
+from ...bitstream.networks import WEIGHT_MAX
+from ...render.harmonics import DEGREE_MAX
 from ..losses import photometric
 from ..scaffold import Scaffold
 from ..schedule import Clock
-from ..settings import TrainSettings
+from ..settings import CHOSEN, TrainSettings
 from ..stage import Stage
 from ..state import Saved
 from ..views import Views
 from .rate import Rate
+
+# Bits of WEIGHT_MAX and a sign.
+STATIC_BITS = WEIGHT_MAX.bit_length() + 1
 
 
 class Grids(Stage):
@@ -52,9 +57,16 @@ class Grids(Stage):
     @torch.no_grad()
     def _choose(self) -> None:
         """Takes the grids of the least loss, the rendering networks' first, then the coding networks'."""
-        settings = self.settings.weights
+        settings, networks = self.settings.weights, self.scaffold.networks
+        bits = settings.rendering_bits
+        if networks.degree is not None:
+            if self.settings.degree == CHOSEN:
+                self._choose_degree()
+            networks.set_units(self.scaffold.tables["features"])
+            # SPEC 7.2: the integers of a static scene's networks.
+            bits = min(bits[0], STATIC_BITS), min(bits[1], STATIC_BITS)
         for grid, (least, most) in (
-            (self.scaffold.networks.set_grid, settings.rendering_bits),
+            (networks.set_grid, bits),
             (self.rate.started().set_grid, settings.coarser),
         ):
             losses = []
@@ -62,6 +74,14 @@ class Grids(Stage):
                 grid(choice)
                 losses.append(self._loss())
             grid(least + int(np.argmin(losses)))
+
+    def _choose_degree(self) -> None:
+        """Takes the degree of harmonics of the least loss."""
+        losses = []
+        for degree in range(DEGREE_MAX + 1):
+            self.scaffold.networks.degree = degree
+            losses.append(self._loss())
+        self.scaffold.networks.degree = int(np.argmin(losses))
 
     def _loss(self) -> float:
         """L_Scaffold of a few photographs and lambda_r L_rate, in which bits of weights count like the others."""
@@ -74,14 +94,18 @@ class Grids(Stage):
         return shown / len(judges) + settings.rate.weight * bits / (self.rate.masks.total * self.scaffold.columns.width)
 
     def state(self) -> dict[str, Any]:
-        """Whether there are grids; their steps are the networks' own."""
-        return {"gridded": self.scaffold.networks.gridded}
+        """Whether there are grids, and the degree of harmonics; steps and units are the networks' own."""
+        networks = self.scaffold.networks
+        return {"gridded": networks.gridded, **({} if networks.degree is None else {"degree": networks.degree})}
 
     def restore(self, state: Saved) -> None:
         """As Stage. The rate is restored before."""
         gridded = state.flag("gridded")
         if gridded and self.rate.model is None:
             raise state.fault("gridded", "is true before there is an entropy model")
-        self.scaffold.networks.gridded = gridded
+        networks = self.scaffold.networks
+        networks.gridded = gridded
+        if networks.degree is not None:
+            networks.degree = state.integer("degree", 0, networks.degree)
         if gridded:
             self.rate.started().set_gridded(True)

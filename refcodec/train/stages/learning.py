@@ -18,6 +18,9 @@ from ..settings import LearningSettings
 from ..stage import Stage, Step
 from ..state import Saved
 
+# Steps between two measurements.
+PERIOD = 20
+
 
 class Learning(Stage):
     """Follows the gradients of the anchors' tables and of the rendering networks.
@@ -102,6 +105,11 @@ class Learning(Stage):
         """A step of Adam for some rows of a table."""
         tables = (kind[name].numpy() for kind in (self.scaffold.tables, self.scaffold.first, self.scaffold.second))
         adam_rows(*tables, self.clock.done + 1, rows, gradient, np.float32(rate))
+
+    def end(self) -> None:
+        """Measures the Gaussians of a static scene at intervals, because they change slowly."""
+        if self.clock.done % PERIOD == 0:
+            self.scaffold.measure()
 
     def state(self) -> dict[str, Any]:
         """The networks' moments; those of the anchors are the scaffold's."""
