@@ -96,9 +96,9 @@ class Viewer {
     this.worker = undefined;
   }
 
-  on_head({ header, height, ...about }) {
+  on_head({ header, height, harmonics, ...about }) {
     try {
-      this.drawing.begin(header, height);
+      this.drawing.begin(header, height, harmonics);
     } catch (error) {
       this.on_refused({ kind: "bound", text: error.message });
       return;
