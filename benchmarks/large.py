@@ -134,13 +134,13 @@ def _grown(scene: Scene, anchors: int) -> Scene:
     return replace(grown, attributes=Attributes(a.features, a.scalings, a.offsets, derive_steps(grown)))
 
 
-def made_static(scene: Scene) -> Scene:
-    """Returns a static scene with the symbols of a view-dependent one, and harmonics of degree 1.
+def made_static(scene: Scene, degree: int = 1) -> Scene:
+    """Returns a static scene with the symbols of a view-dependent one. degree: of its harmonics.
 
     The hidden layers are those of the rendering networks for the distance 1 and no direction. The last layers are
     fitted to the outputs there. The new harmonics are small, so that colours depend on the view.
     """
-    d, values = scene.dimensions, reconstruct(scene)
+    d, values, colours = scene.dimensions, reconstruct(scene), RENDER_MODELS[STATIC][1][degree]
     up = 2.0 ** np.floor(np.log2(ACTIVATION_MAX / np.abs(values.features).max()))
     networks = dict(scene.networks)
     for name in RENDERING:
@@ -155,7 +155,7 @@ def made_static(scene: Scene) -> Scene:
             wanted[..., :3] = -np.log1p(np.exp(-wanted[..., :3]))
         else:
             base = (1 / (1 + np.exp(-wanted)) - 0.5) / 0.28209479177387814
-            wanted = np.concatenate([base, *(0.1 * np.roll(base, i, axis=2) for i in range(3))], axis=2)
+            wanted = np.concatenate([base, *(0.1 * np.roll(base, i, axis=2) for i in range(1, colours // 3))], axis=2)
         wide = 2.0 ** np.floor(np.log2(ACTIVATION_MAX / hidden.max()))
         inputs = np.concatenate([np.minimum(np.rint(hidden * wide), ACTIVATION_MAX), np.ones((len(hidden), 1))], axis=1)
         outputs = wanted.reshape(len(hidden), -1) * (1 << OUTPUT_BITS)
@@ -165,7 +165,7 @@ def made_static(scene: Scene) -> Scene:
         networks[name] = [first, (np.ascontiguousarray(found[:, :-1]), found[:, -1].copy())]
     return replace(
         scene,
-        dimensions=replace(d, view_inputs=0, colour_outputs=RENDER_MODELS[STATIC][1][1]),
+        dimensions=replace(d, view_inputs=0, colour_outputs=colours),
         base_step=(scene.base_step[0] * float(up), *scene.base_step[1:]),
         render=replace(scene.render, render_model=STATIC),
         networks=networks,

@@ -284,6 +284,13 @@ class Viewer {
     return image.toDataURL("image/png");
   }
 
+  // Turns by one step around the pivot, and waits until the whole scene is drawn.
+  async step() {
+    this.changed(orbit(this.pose, this.up, [STEP, 0]));
+    await this.settle();
+    this.drawing.finish();
+  }
+
   // Turns around the pivot for some seconds. Returns the seconds, the frames, the frames of the worker, the final
   // resolution share, and the seconds of one further frame with all pixels.
   async turn(seconds) {
