@@ -100,8 +100,8 @@ def viewer_lines(figures: dict[str, Any]) -> list[str]:
         f"Drawn by {figures['device']}.",
         f"At {WIDTH} x {HEIGHT} pixels. Medians of {figures['rounds']} pages, opened from the disk.",
         "Times start with the page. Frames per second are those while the camera moves around the scene, at a reduced",
-        "resolution: the table has its share of each side. Processor ms a view are those of the page and its worker for",
-        "a camera that moved, without drawing. The last column is one frame with all pixels.",
+        "resolution: the table has its share of each side. Processor ms a view: of the page and its worker, without",
+        "drawing, for a camera that moved. The last column is one frame with all pixels.",
         "",
         *table(head, rows),
     ]

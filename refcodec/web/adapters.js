@@ -1,4 +1,4 @@
-// The plain Gaussians of a static scene (Gaussians.plain) in the layouts of other renderers. adapters.d.ts documents them.
+// The plain Gaussians of a static scene in the layouts of other renderers. adapters.d.ts documents them.
 
 const SH_0 = 0.28209479177387814;
 // The width of Spark's textures: arrays have whole rows.
