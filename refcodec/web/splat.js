@@ -91,8 +91,9 @@ export function activated({ count, means: positions, logLengths: scales, quatern
   const opacities = logits;
   for (let i = 0; i < scales.length; i++) scales[i] = Math.exp(scales[i]);
   for (let i = 0; i < count; i++) {
-    const [w, x, y, z] = [0, 1, 2, 3].map((at) => rotations[4 * i + at]);
-    const length = Math.sqrt(w * w + x * x + y * y + z * z);
+    let square = 0;
+    for (let at = 4 * i; at < 4 * i + 4; at++) square += rotations[at] * rotations[at];
+    const length = Math.sqrt(square);
     for (let at = 4 * i; at < 4 * i + 4; at++) rotations[at] /= length;
     opacities[i] = 1 / (1 + Math.exp(-logits[i]));
     let check = 0;
