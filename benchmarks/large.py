@@ -22,15 +22,18 @@ from numpy.typing import NDArray
 from refcodec.bitstream.attributes import Attributes
 from refcodec.bitstream.chunks import chunk_ranges, read_chunk
 from refcodec.bitstream.codec import derive_steps, emit, parse
+from refcodec.bitstream.dimensions import RENDER_MODELS, RENDERING, STATIC
 from refcodec.bitstream.directory import DATA, INDEX
 from refcodec.bitstream.header import emit_file, read_header
 from refcodec.bitstream.index import ENTRY_BYTES
 from refcodec.bitstream.limits import MAIN, PROFILES, minimal_level
-from refcodec.bitstream.networks import Layer
+from refcodec.bitstream.networks import ACTIVATION_MAX, Layer
 from refcodec.bitstream.planes import PLANES, assemble_planes
 from refcodec.bitstream.reader import Reader
+from refcodec.bitstream.reconstruction import reconstruct
 from refcodec.bitstream.scene import Scene, take_anchors
 from refcodec.bitstream.source import WholeFile
+from refcodec.bitstream.splat import OUTPUT_BITS
 from refcodec.encoder.positions import morton_order, position_model
 from refcodec.encoder.sizes import CHUNK_SIZE, choose_lanes, choose_plane_size, choose_width
 
@@ -66,18 +69,19 @@ class Large:
         }
 
 
-def large(trained: Path, anchors: int, kept: Path = KEPT) -> Large:
+def large(trained: Path, anchors: int, kept: Path = KEPT, static: bool = False) -> Large:
     """Returns the scene with a number of anchors. Its file is cached by its sources and the text of this module.
 
-    trained: a file of Main with planes. anchors: at least 1.
+    trained: a file of Main with planes. anchors: at least 1. static: whether it is made static.
     """
     source = trained.read_bytes()
-    made_of = source + str(anchors).encode() + Path(__file__).read_bytes()
+    made_of = source + f"{anchors} {static}".encode() + Path(__file__).read_bytes()
     path = kept / f"{trained.stem}-{anchors}-{hashlib.sha256(made_of).hexdigest()[:16]}.c3gs"
     if not path.exists():
         kept.mkdir(parents=True, exist_ok=True)
         temporary = path.with_suffix(".part")
-        temporary.write_bytes(large_file(parse(source).scene, anchors))
+        scene = parse(source).scene
+        temporary.write_bytes(large_file(made_static(scene) if static else scene, anchors))
         temporary.replace(path)
     return Large(path, trained, anchors, (attribute_bits(source), attribute_bits(path.read_bytes())))
 
@@ -128,6 +132,46 @@ def _grown(scene: Scene, anchors: int) -> Scene:
     )
     a = grown.attributes
     return replace(grown, attributes=Attributes(a.features, a.scalings, a.offsets, derive_steps(grown)))
+
+
+def made_static(scene: Scene, degree: int = 1) -> Scene:
+    """Returns a static scene with the symbols of a view-dependent one. degree: of its harmonics.
+
+    The hidden layers are those of the rendering networks for the distance 1 and no direction. The last layers are
+    fitted to the outputs there. The new harmonics are small, so that colours depend on the view.
+    """
+    d, values, colours = scene.dimensions, reconstruct(scene), RENDER_MODELS[STATIC][1][degree]
+    up = 2.0 ** np.floor(np.log2(ACTIVATION_MAX / np.abs(values.features).max()))
+    networks = dict(scene.networks)
+    for name in RENDERING:
+        (weight, bias), (last, last_bias) = scene.networks[name]
+        own, offset = weight[:, : d.features].astype(np.float64), bias + weight[:, -1]
+        hidden = np.maximum(values.features @ own.T + offset, 0)
+        wanted = (hidden @ last.T + last_bias).reshape(len(hidden), d.offset_count, -1)
+        if name == "opacity":
+            shown = np.clip(np.tanh(wanted), 1e-3, 0.99)
+            wanted = np.log(shown / (1 - shown))
+        elif name == "covariance":
+            wanted[..., :3] = -np.log1p(np.exp(-wanted[..., :3]))
+        else:
+            base = (1 / (1 + np.exp(-wanted)) - 0.5) / 0.28209479177387814
+            wanted = np.concatenate([base, *(0.1 * np.roll(base, i, axis=2) for i in range(1, colours // 3))], axis=2)
+        wide = 2.0 ** np.floor(np.log2(ACTIVATION_MAX / hidden.max()))
+        inputs = np.concatenate([np.minimum(np.rint(hidden * wide), ACTIVATION_MAX), np.ones((len(hidden), 1))], axis=1)
+        outputs = wanted.reshape(len(hidden), -1) * (1 << OUTPUT_BITS)
+        least = np.eye(inputs.shape[1])
+        found = np.linalg.solve(inputs.T @ inputs + least, inputs.T @ outputs).T.astype(np.float32)
+        first = (own * wide / up).astype(np.float32), (offset * wide).astype(np.float32)
+        networks[name] = [first, (np.ascontiguousarray(found[:, :-1]), found[:, -1].copy())]
+    return replace(
+        scene,
+        dimensions=replace(d, view_inputs=0, colour_outputs=colours),
+        base_step=(scene.base_step[0] * float(up), *scene.base_step[1:]),
+        render=replace(scene.render, render_model=STATIC),
+        networks=networks,
+        weight_scales=None,
+        weight_forms=None,
+    )
 
 
 def widened(layers: list[Layer], widths: tuple[int, ...]) -> list[Layer]:

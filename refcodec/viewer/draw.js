@@ -2,13 +2,14 @@
 // drawn first.
 //
 // The image is blended in 16-bit floats if the device supports them. With 8 bits, faint Gaussians would be lost.
-import { ROW_WORDS, TEXELS, WIDTH } from "./rows.js";
+import { layersOf, TEXELS, UNIT_MAX, WIDTH } from "./rows.js";
 
-const VERTEX = `#version 300 es
+// isStatic: whether the colours are in a texture of their own.
+const vertex = (isStatic) => `#version 300 es
 precision highp float;
 precision highp int;
 precision highp usampler2D;
-uniform usampler2D gaussians;
+uniform usampler2D gaussians, colours;
 uniform mat3 rotation;
 uniform vec3 centre;
 uniform vec2 focal, principal, size;
@@ -23,7 +24,8 @@ void main() {
   vec4 first = uintBitsToFloat(texelFetch(gaussians, place + ivec2(1, 0), 0));
   uvec4 last = texelFetch(gaussians, place + ivec2(2, 0), 0);
   vec2 second = uintBitsToFloat(last.xy);
-  paint = vec4(float(last.w >> 16) * vec3(unpackUnorm2x16(last.z), unpackUnorm2x16(last.w).x), mean.w);
+  uvec2 colour = ${isStatic ? `texelFetch(colours, ivec2(int(slot % ${WIDTH}u), int(slot / ${WIDTH}u)), 0).xy` : "last.zw"};
+  paint = vec4(float(colour.y >> 16) * vec3(unpackUnorm2x16(colour.x), unpackUnorm2x16(colour.y).x), mean.w);
   mat3 covariance = mat3(first.xyz, first.yw, second.x, first.z, second.xy);
   // 14.4, PROJECT. The matrix has the rows of the rotation, thus the transposed one transforms to the world.
   vec3 p = (mean.xyz - centre) * rotation;
@@ -65,6 +67,48 @@ void main() {
   result = vec4(alpha * paint.rgb, alpha);
 }`;
 
+// 14.6, HARMONICS
+const HARMONICS = [
+  "0.28209479177387814", "-0.4886025119029199 * y", "0.4886025119029199 * z", "-0.4886025119029199 * x",
+  "1.0925484305920792 * x * y", "-1.0925484305920792 * y * z",
+  "0.31539156525252005 * (2.0 * z * z - x * x - y * y)", "-1.0925484305920792 * x * z",
+  "0.5462742152960396 * (x * x - y * y)", "-0.5900435899266435 * y * (3.0 * x * x - y * y)",
+  "2.890611442640554 * x * y * z", "-0.4570457994644658 * y * (4.0 * z * z - x * x - y * y)",
+  "0.3731763325901154 * z * (2.0 * z * z - 3.0 * x * x - 3.0 * y * y)",
+  "-0.4570457994644658 * x * (4.0 * z * z - x * x - y * y)", "1.445305721320277 * z * (x * x - y * y)",
+  "-0.5900435899266435 * x * (x * x - 3.0 * y * y)",
+];
+
+// 14.6: the colour of each Gaussian of a static scene from the camera's centre, as in rows.js. count: of harmonics.
+function shading(count) {
+  const layers = layersOf(3 * count);
+  const number = (at) => `t[${at >> 2}][${at & 3}]`;
+  const term = (n) => `(${HARMONICS[n]}) * vec3(${[3 * n, 3 * n + 1, 3 * n + 2].map(number).join(", ")})`;
+  return `#version 300 es
+precision highp float;
+precision highp int;
+precision highp usampler2D;
+precision highp sampler2DArray;
+uniform usampler2D gaussians;
+uniform sampler2DArray harmonics;
+uniform vec3 centre;
+out uvec2 result;
+
+void main() {
+  ivec2 place = ivec2(gl_FragCoord.xy);
+  vec3 away = uintBitsToFloat(texelFetch(gaussians, ivec2(${TEXELS} * place.x, place.y), 0).xyz) - centre;
+  float distance_ = length(away);
+  vec3 direction = distance_ > 0.0 ? away / distance_ : vec3(0.0);
+  float x = direction.x, y = direction.y, z = direction.z;
+  vec4 t[${layers}];
+  for (int i = 0; i < ${layers}; i++) t[i] = texelFetch(harmonics, ivec3(place, i), 0);
+  vec3 colour = max(vec3(0.5) + ${HARMONICS.slice(0, count).map((_, n) => term(n)).join("\n    + ")}, 0.0);
+  float unit = clamp(ceil(max(colour.r, max(colour.g, colour.b))), 1.0, ${UNIT_MAX}.0);
+  uvec3 parts = uvec3(round(65535.0 * min(colour / unit, 1.0)));
+  result = uvec2(parts.r | parts.g << 16, parts.b | uint(unit) << 16);
+}`;
+}
+
 const COVERING = `#version 300 es
 void main() {
   gl_Position = vec4(float(gl_VertexID & 1) * 4.0 - 1.0, float(gl_VertexID >> 1) * 4.0 - 1.0, 0.0, 1.0);
@@ -96,7 +140,8 @@ export class Drawing {
     this.format = floats ? gl.RGBA16F : gl.RGBA8;
     const info = gl.getExtension("WEBGL_debug_renderer_info");
     this.device = gl.getParameter(info ? info.UNMASKED_RENDERER_WEBGL : gl.RENDERER);
-    this.splats = program(gl, VERTEX, FRAGMENT);
+    // By the number of harmonics, 0 if the scene is not static.
+    this.programs = new Map();
     this.encoding = program(gl, COVERING, ENCODE);
     this.array = gl.createVertexArray();
     this.slots = gl.createBuffer();
@@ -106,19 +151,27 @@ export class Drawing {
     gl.vertexAttribIPointer(0, 1, gl.UNSIGNED_INT, 0, 0);
     gl.vertexAttribDivisor(0, 1);
     this.none = gl.createVertexArray();
-    this.texture = texture(gl);
   }
 
-  // header: background, alpha_max, low_pass, transfer_characteristics. height: rows of Gaussians. Throws RangeError if
-  // the device is out of memory.
-  begin(header, height) {
+  // header: background, alpha_max, low_pass, transfer_characteristics. height: rows of Gaussians. harmonics: their
+  // numbers for each Gaussian of a static scene, otherwise 0. Throws RangeError if the device is out of memory.
+  begin(header, height, harmonics) {
     const { gl } = this;
     const most = gl.getParameter(gl.MAX_TEXTURE_SIZE);
     if (height > most) throw new RangeError(`The scene has more Gaussians than this device draws, ${most * WIDTH}`);
-    Object.assign(this, { header, count: 0 });
-    gl.deleteTexture(this.texture);
+    Object.assign(this, { header, height: Math.max(height, 1), layers: layersOf(harmonics), count: 0 });
+    for (const old of [this.texture, this.harmonics, this.colours?.image]) gl.deleteTexture(old ?? null);
+    gl.deleteFramebuffer(this.colours?.frame ?? null);
+    Object.assign(this, { harmonics: undefined, colours: undefined, shaded: undefined });
+    if (!this.programs.has(harmonics)) this.programs.set(harmonics, programs(gl, harmonics / 3));
+    Object.assign(this, this.programs.get(harmonics));
     this.texture = texture(gl);
-    gl.texStorage2D(gl.TEXTURE_2D, 1, gl.RGBA32UI, TEXELS * WIDTH, Math.max(height, 1));
+    gl.texStorage2D(gl.TEXTURE_2D, 1, gl.RGBA32UI, TEXELS * WIDTH, this.height);
+    if (this.layers > 0) {
+      this.harmonics = texture(gl, gl.NEAREST, gl.TEXTURE_2D_ARRAY);
+      gl.texStorage3D(gl.TEXTURE_2D_ARRAY, 1, gl.RGBA32F, WIDTH, this.height, this.layers);
+      this.colours = target(gl, gl.RG32UI, WIDTH, this.height);
+    }
     if (gl.getError() === gl.OUT_OF_MEMORY) throw new RangeError("The device has no memory for the scene");
   }
 
@@ -131,18 +184,36 @@ export class Drawing {
     gl.clear(gl.COLOR_BUFFER_BIT);
   }
 
-  // rows: their numbers. data: the rows in a sequence. order: the Gaussians in drawing order.
-  take({ rows, data, order }) {
+  // rows: from Rows. order: the Gaussians in drawing order.
+  take({ rows, order }) {
     const { gl } = this;
     gl.bindTexture(gl.TEXTURE_2D, this.texture);
-    rows.forEach((row, i) => {
-      gl.texSubImage2D(
-        gl.TEXTURE_2D, 0, 0, row, TEXELS * WIDTH, 1, gl.RGBA_INTEGER, gl.UNSIGNED_INT, data, ROW_WORDS * i,
+    if (this.layers > 0) gl.bindTexture(gl.TEXTURE_2D_ARRAY, this.harmonics);
+    for (const { row, words, harmonics } of rows) {
+      gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, row, words.length / 4, 1, gl.RGBA_INTEGER, gl.UNSIGNED_INT, words);
+      if (this.layers === 0) continue;
+      gl.texSubImage3D(
+        gl.TEXTURE_2D_ARRAY, 0, 0, row, 0, WIDTH, 1, this.layers, gl.RGBA, gl.FLOAT, harmonics,
       );
-    });
+    }
+    if (rows.length > 0) this.shaded = undefined;
     gl.bindBuffer(gl.ARRAY_BUFFER, this.slots);
     gl.bufferData(gl.ARRAY_BUFFER, order, gl.DYNAMIC_DRAW);
     this.count = order.length;
+  }
+
+  // Computes the colours of a static scene, unless the camera has only turned.
+  #shade(centre) {
+    const { gl, shades, colours, height } = this;
+    if (this.shaded?.every((x, axis) => x === centre[axis])) return;
+    this.shaded = [...centre];
+    gl.bindFramebuffer(gl.FRAMEBUFFER, colours.frame);
+    gl.viewport(0, 0, WIDTH, height);
+    gl.useProgram(shades.program);
+    bind(gl, shades, { gaussians: [gl.TEXTURE_2D, this.texture], harmonics: [gl.TEXTURE_2D_ARRAY, this.harmonics] });
+    gl.uniform3fv(shades.at("centre"), centre);
+    gl.bindVertexArray(this.none);
+    gl.drawArrays(gl.TRIANGLES, 0, 3);
   }
 
   // Blends into an image of a size in pixels. pose: rotation, row by row, and centre. lens: focal and principal_point.
@@ -153,11 +224,9 @@ export class Drawing {
         gl.deleteTexture(this.target.image);
         gl.deleteFramebuffer(this.target.frame);
       }
-      this.target = { width, height, image: texture(gl, gl.LINEAR), frame: gl.createFramebuffer() };
-      gl.texStorage2D(gl.TEXTURE_2D, 1, this.format, width, height);
-      gl.bindFramebuffer(gl.FRAMEBUFFER, this.target.frame);
-      gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, this.target.image, 0);
+      this.target = target(gl, this.format, width, height, gl.LINEAR);
     }
+    if (this.colours !== undefined && this.count > 0) this.#shade(centre);
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.target.frame);
     gl.viewport(0, 0, width, height);
     const [red, green, blue] = header.background.map((value) => value / 255);
@@ -165,7 +234,9 @@ export class Drawing {
     gl.clear(gl.COLOR_BUFFER_BIT);
     if (this.count === 0) return;
     gl.useProgram(splats.program);
-    gl.bindTexture(gl.TEXTURE_2D, this.texture);
+    const own = { gaussians: [gl.TEXTURE_2D, this.texture] };
+    if (this.colours !== undefined) own.colours = [gl.TEXTURE_2D, this.colours.image];
+    bind(gl, splats, own);
     // GL expects columns, thus the shader gets the transposed matrix.
     gl.uniformMatrix3fv(splats.at("rotation"), false, rotation);
     gl.uniform3fv(splats.at("centre"), centre);
@@ -207,11 +278,7 @@ export class Drawing {
   pixels(width, height, pose, lens) {
     const { gl } = this;
     this.#blend(width, height, pose, lens);
-    const image = texture(gl);
-    gl.texStorage2D(gl.TEXTURE_2D, 1, gl.RGBA8, width, height);
-    const frame = gl.createFramebuffer();
-    gl.bindFramebuffer(gl.FRAMEBUFFER, frame);
-    gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, image, 0);
+    const { image, frame } = target(gl, gl.RGBA8, width, height);
     this.#encode(frame, width, height);
     const found = new Uint8Array(4 * width * height);
     gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, found);
@@ -232,14 +299,39 @@ export class Drawing {
   }
 }
 
-function texture(gl, filter = gl.NEAREST) {
+function texture(gl, filter = gl.NEAREST, kind = gl.TEXTURE_2D) {
   const made = gl.createTexture();
-  gl.bindTexture(gl.TEXTURE_2D, made);
-  gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, filter);
-  gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, filter);
-  gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_S, gl.CLAMP_TO_EDGE);
-  gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_T, gl.CLAMP_TO_EDGE);
+  gl.bindTexture(kind, made);
+  gl.texParameteri(kind, gl.TEXTURE_MIN_FILTER, filter);
+  gl.texParameteri(kind, gl.TEXTURE_MAG_FILTER, filter);
+  gl.texParameteri(kind, gl.TEXTURE_WRAP_S, gl.CLAMP_TO_EDGE);
+  gl.texParameteri(kind, gl.TEXTURE_WRAP_T, gl.CLAMP_TO_EDGE);
   return made;
+}
+
+// A texture to draw to, and its framebuffer.
+function target(gl, format, width, height, filter) {
+  const made = { width, height, image: texture(gl, filter), frame: gl.createFramebuffer() };
+  gl.texStorage2D(gl.TEXTURE_2D, 1, format, width, height);
+  gl.bindFramebuffer(gl.FRAMEBUFFER, made.frame);
+  gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, made.image, 0);
+  return made;
+}
+
+// Sets the samplers of the program in use. The first texture unit is active again afterwards.
+function bind(gl, { at }, textures) {
+  const list = Object.entries(textures);
+  for (const [unit, [name, [kind, own]]] of [...list.entries()].reverse()) {
+    gl.activeTexture(gl.TEXTURE0 + unit);
+    gl.bindTexture(kind, own);
+    gl.uniform1i(at(name), unit);
+  }
+}
+
+// The programs of a scene. count: of harmonics, 0 if it is not static.
+function programs(gl, count) {
+  if (count === 0) return { splats: program(gl, vertex(false), FRAGMENT) };
+  return { splats: program(gl, vertex(true), FRAGMENT), shades: program(gl, COVERING, shading(count)) };
 }
 
 function program(gl, vertex, fragment) {

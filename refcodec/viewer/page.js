@@ -96,9 +96,9 @@ class Viewer {
     this.worker = undefined;
   }
 
-  on_head({ header, height, ...about }) {
+  on_head({ header, height, harmonics, ...about }) {
     try {
-      this.drawing.begin(header, height);
+      this.drawing.begin(header, height, harmonics);
     } catch (error) {
       this.on_refused({ kind: "bound", text: error.message });
       return;
@@ -282,6 +282,13 @@ class Viewer {
     const pixels = this.drawing.pixels(width, height, pose, lens);
     image.getContext("2d").putImageData(new ImageData(pixels, width, height), 0, 0);
     return image.toDataURL("image/png");
+  }
+
+  // Turns by one step around the pivot, and waits until the whole scene is drawn.
+  async step() {
+    this.changed(orbit(this.pose, this.up, [STEP, 0]));
+    await this.settle();
+    this.drawing.finish();
   }
 
   // Turns around the pivot for some seconds. Returns the seconds, the frames, the frames of the worker, the final

@@ -6,54 +6,67 @@
 //   covariance xx, xy, xz, yy        f32
 //   covariance yz, zz                f32, then red and green, blue and unit, 16 bits each: colours as fractions of unit
 //
-// The unit is 1 unless a colour is above 1, as in a static scene (14.6).
+// The unit is 1 unless a colour is above 1, as in a static scene (14.6). In a static scene, a row is computed once, and
+// the page computes the colours from harmonics: the numbers of a Gaussian by layers of four, each layer for a whole row.
+import { isStatic } from "../web/container.js";
 import { boundsOf } from "../web/gaussians.js";
+import { activated } from "../web/splat.js";
 
 // Gaussians of a row.
 export const WIDTH = 1024;
 export const TEXELS = 3;
 const WORDS = 4 * TEXELS;
-export const ROW_WORDS = WORDS * WIDTH;
-// The most rows that wait for the page. A row takes 48 KiB here and in transit.
-export const WAITING_MAX = 1024;
+// The bytes of rows that wait for the page.
+const WAITING_MAX = 48 << 20;
 // A click hits Gaussians within this angle of its ray.
 const COS_NEAR = Math.cos(0.15);
 const MET = 16;
 // The largest unit of colours. The blended numbers are within 16-bit floats.
-const UNIT_MAX = 1 << 15;
+export const UNIT_MAX = 1 << 15;
 // 14.5: an alpha below this counts as 0.
 const ALPHA_MIN = 1 / 255;
 
 export class Rows {
-  // gaussians: of the decoder. entries: those of the chunk index.
-  constructor(gaussians, entries) {
-    this.gaussians = gaussians;
+  // gaussians: of a scene that is not static. entries: those of the chunk index.
+  constructor(scene, gaussians, entries) {
+    const { header, features } = scene;
+    const k = header.offset_count;
+    Object.assign(this, { scene, gaussians });
+    this.harmonics = isStatic(header) ? header.colour_outputs : 0;
+    this.widths = { positions: 3, masks: k, features, scalings: 6, offsets: 3 * k };
     // For each row: the anchors from start to before end, their bounds, and the place of their last view.
     this.blocks = [];
-    this.view = gaussians.room(WIDTH);
+    this.anchorCount = 0;
+    this.view = gaussians?.room(WIDTH);
     // A row may waste up to the offsets of one anchor.
-    const least = WIDTH - gaussians.scene.header.offset_count + 1;
+    const least = WIDTH - k + 1;
     this.height = 0;
     this.most = 0;
     for (const { kept } of entries) {
       this.height += Math.floor(kept / least) + 1;
       this.most += kept;
     }
-    // The sorted and the drawn order. They grow with the rows.
+    // The bytes of a row here or in transit.
+    this.rowBytes = 4 * WIDTH * (WORDS + 4 * layersOf(this.harmonics));
+    // The most rows that wait for the page.
+    this.waitingMax = Math.max(1, Math.floor(WAITING_MAX / this.rowBytes));
     this.means = [];
-    this.words = [];
+    this.found = [];
     this.counts = [];
   }
 
   // The memory of all rows, here, in sorting and on the page: 12 bytes of mean and 33 of order per Gaussian, the
-  // texture, and the waiting rows.
+  // textures, and the waiting rows.
   get bytes() {
-    return 45 * this.most + 4 * ROW_WORDS * (this.height + 2 * Math.min(this.height, WAITING_MAX));
+    const colours = this.harmonics > 0 ? 8 * WIDTH * this.height : 0;
+    return 45 * this.most + colours + this.rowBytes * (this.height + 2 * Math.min(this.height, this.waitingMax));
   }
 
-  // added: from Gaussians. chunk: its anchors.
-  add({ start }, { count, masks, positions }) {
-    const offsets = this.gaussians.scene.header.offset_count;
+  // chunk: its anchors.
+  add(chunk) {
+    const { count, masks, positions } = chunk;
+    const offsets = this.widths.masks;
+    this.gaussians?.add(chunk);
     for (let first = 0; first < count; ) {
       let [last, kept] = [first, 0];
       for (; last < count; last++) {
@@ -62,23 +75,48 @@ export class Rows {
         kept += more;
       }
       const own = boundsOf(positions.subarray(3 * first, 3 * last));
-      this.blocks.push({ start: start + first, end: start + last, ...own, from: undefined });
+      const anchors = this.gaussians === undefined ? this.#part(chunk, first, last) : undefined;
+      const [start, end] = [this.anchorCount + first, this.anchorCount + last];
+      this.blocks.push({ start, end, ...own, from: undefined, anchors });
       this.means.push(new Float32Array(3 * kept));
-      this.words.push(undefined);
+      this.found.push(undefined);
       this.counts.push(0);
       first = last;
     }
+    this.anchorCount += count;
   }
 
-  // Runs the networks for a row. 14.4: a Gaussian's covariance is that of its axes, turned by its quaternion.
+  #part(chunk, first, last) {
+    const part = ([name, width]) => [name, chunk[name].subarray(width * first, width * last)];
+    return { count: last - first, ...Object.fromEntries(Object.entries(this.widths).map(part)) };
+  }
+
+  // The change of the view of a row: the distance from its last view over the distance to its anchors.
+  change({ low, high, from }, centre) {
+    if (from === undefined) return Infinity;
+    if (this.gaussians === undefined) return 0;
+    const way = Math.hypot(...centre.map((x, axis) => x - from[axis]));
+    if (way === 0) return 0;
+    const distance = Math.hypot(...centre.map((x, axis) => Math.max(low[axis] - x, 0, x - high[axis])));
+    return way / distance;
+  }
+
+  // The Gaussians of a row for a view.
+  #seen(block, centre) {
+    if (this.gaussians !== undefined) return this.gaussians.range(block.start, block.end, centre, this.view);
+    const own = activated(this.scene.splat(block.anchors));
+    block.anchors = undefined;
+    return own;
+  }
+
+  // Computes a row. 14.4: a Gaussian's covariance is that of its axes, turned by its quaternion.
   update(row, centre) {
     const block = this.blocks[row];
     block.from = [...centre];
-    const { count, positions, scales, rotations, colours, opacities } = this.gaussians.range(
-      block.start, block.end, centre, this.view,
-    );
-    const words = new Uint32Array(WORDS * Math.max(count, 1));
+    const { count, positions, scales, rotations, colours, opacities, harmonics } = this.#seen(block, centre);
+    const words = new Uint32Array(WORDS * count);
     const floats = new Float32Array(words.buffer);
+    const layers = new Float32Array(4 * WIDTH * layersOf(this.harmonics));
     const means = this.means[row];
     let n = 0;
     for (let i = 0; i < count; i++) {
@@ -87,16 +125,15 @@ export class Rows {
       for (let axis = 0; axis < 3; axis++) floats[at + axis] = means[3 * n + axis] = positions[3 * i + axis];
       floats[at + 3] = opacities[i];
       covariance(scales, 3 * i, rotations, 4 * i, floats, at + 4);
-      const own = [colours[3 * i], colours[3 * i + 1], colours[3 * i + 2]];
-      const unit = Math.min(Math.ceil(Math.max(1, own[0], own[1], own[2])), UNIT_MAX);
-      const [red, green, blue] = own.map((x) => Math.round(65535 * Math.min(x / unit, 1)));
-      words[at + 10] = red | (green << 16);
-      words[at + 11] = blue | (unit << 16);
+      if (colours !== undefined) setColour(colours, 3 * i, words, at + 10);
+      for (let j = 0, from = this.harmonics * i; j < this.harmonics; j++) {
+        layers[4 * (WIDTH * (j >> 2) + n) + (j & 3)] = harmonics[from + j];
+      }
       // A non-finite number would spread over the image.
       if (finite(floats, at, at + 10)) n++;
     }
     this.counts[row] = n;
-    this.words[row] = words.subarray(0, WORDS * n);
+    this.found[row] = { row, words: words.subarray(0, WORDS * n), harmonics: layers };
   }
 
   // Returns the mean of a Gaussian that a ray hits, or undefined. A quarter of the hits may be in front of it: isolated
@@ -116,15 +153,28 @@ export class Rows {
     return met[met.length >> 2]?.point;
   }
 
-  // Returns the words of some rows in a sequence, and transfers them.
-  packed(rows) {
-    const data = new Uint32Array(ROW_WORDS * rows.length);
-    rows.forEach((row, i) => {
-      data.set(this.words[row], ROW_WORDS * i);
-      this.words[row] = undefined;
+  // Returns some rows, and does not keep them.
+  take(rows) {
+    return rows.map((row) => {
+      const found = this.found[row];
+      this.found[row] = undefined;
+      return found;
     });
-    return data;
   }
+}
+
+// The texels of the harmonics of a Gaussian. numbers: of its harmonics.
+export function layersOf(numbers) {
+  return Math.ceil(numbers / 4);
+}
+
+// Writes a colour as two words.
+function setColour(colours, from, words, at) {
+  const own = [colours[from], colours[from + 1], colours[from + 2]];
+  const unit = Math.min(Math.ceil(Math.max(1, ...own)), UNIT_MAX);
+  const [red, green, blue] = own.map((x) => Math.round(65535 * Math.min(x / unit, 1)));
+  words[at] = red | (green << 16);
+  words[at + 1] = blue | (unit << 16);
 }
 
 function finite(values, from, to) {
@@ -145,13 +195,4 @@ function covariance(scales, s, rotations, r, out, at) {
   out[at + 3] = m10 * m10 + m11 * m11 + m12 * m12;
   out[at + 4] = m10 * m20 + m11 * m21 + m12 * m22;
   out[at + 5] = m20 * m20 + m21 * m21 + m22 * m22;
-}
-
-// The change of the view of a row: the distance from its last view over the distance to its anchors.
-export function change({ low, high, from }, centre) {
-  if (from === undefined) return Infinity;
-  const way = Math.hypot(...centre.map((x, axis) => x - from[axis]));
-  if (way === 0) return 0;
-  const distance = Math.hypot(...centre.map((x, axis) => Math.max(low[axis] - x, 0, x - high[axis])));
-  return way / distance;
 }

@@ -1,11 +1,13 @@
-// The worker of the page: it decodes a file, runs the rendering networks for the camera, and sorts by depth.
+// The worker of the page: it decodes a file, runs the rendering networks for the camera, and sorts by depth. In a
+// static scene it only sorts for each camera.
 //
 // The page sends one "open", a "view" whenever the camera changes, and "drawn" for each "frame". The worker sends
 // "head", "chunk", "frame", "end" and "refused". The arrays of a frame go to the page and are not kept here.
 import { checkBounds, gaussiansBytes } from "../web/bounds.js";
 import { BoundPassedError, C3gsError, decode, Gaussians } from "../web/c3gs.js";
+import { isStatic } from "../web/container.js";
 import { looks } from "./looks.js";
-import { change, Rows, WAITING_MAX } from "./rows.js";
+import { Rows } from "./rows.js";
 import { Sorter } from "./sort.js";
 
 // The bounds of the page for files of unknown origin.
@@ -15,7 +17,7 @@ const SLICE = 24;
 // The anchors that define the extent of the scene.
 const SAMPLE = 4096;
 
-let scene, gaussians, rows, sorter, sample;
+let scene, rows, sorter, sample;
 const inChunks = { positions: 0, masks: 0, attributes: 0 };
 let view;
 // The last sorted view, the rows that the page does not have yet, and whether the last frame is pending.
@@ -82,10 +84,11 @@ async function fetched(url) {
 
 function begin(opened) {
   scene = opened;
-  gaussians = new Gaussians(scene);
-  rows = new Rows(gaussians, scene.entries());
   const h = scene.header;
-  checkBounds(BOUNDS, h, 0, gaussiansBytes(h, h.anchor_count, rows.most) + rows.bytes);
+  // In a static scene, rows keep their anchors until they are computed.
+  rows = new Rows(scene, isStatic(h) ? undefined : new Gaussians(scene), scene.entries());
+  const [held, more] = isStatic(h) ? [h.anchor_count, 0] : [0, gaussiansBytes(h, h.anchor_count, rows.most)];
+  checkBounds(BOUNDS, h, held, more + rows.bytes);
   sorter = new Sorter();
   sample = [];
   const { anchor_count, chunk_count, background, up_axis, near_plane, alpha_max, low_pass } = h;
@@ -94,7 +97,7 @@ function begin(opened) {
     anchor_count, chunk_count, background: [...background], up_axis, near_plane, alpha_max, low_pass,
     transfer_characteristics,
   };
-  postMessage({ type: "head", header, height: rows.height, ...about() });
+  postMessage({ type: "head", header, height: rows.height, harmonics: rows.harmonics, ...about() });
 }
 
 // The description of the scene. Sections after the chunks are read at the end.
@@ -119,14 +122,14 @@ function parts() {
 }
 
 function add(chunk) {
-  const added = gaussians.chunks[gaussians.add(chunk)];
-  rows.add(added, chunk);
+  const start = rows.anchorCount;
+  rows.add(chunk);
   for (const [part, length] of Object.entries(chunk.lengths)) inChunks[part] += length;
   const every = Math.max(1, Math.ceil(scene.header.anchor_count / SAMPLE));
-  for (let i = -added.start % every; i < chunk.count; i += every) {
+  for (let i = -start % every; i < chunk.count; i += every) {
     if (i >= 0) sample.push(Array.from(chunk.positions.subarray(3 * i, 3 * i + 3)));
   }
-  postMessage({ type: "chunk", anchors: gaussians.anchorCount, ...extent() });
+  postMessage({ type: "chunk", anchors: rows.anchorCount, ...extent() });
   work();
 }
 
@@ -158,12 +161,12 @@ function slice() {
   const { id, centre, rotation } = view;
   const stale = [];
   rows.blocks.forEach((block, i) => {
-    const changed = change(block, centre);
+    const changed = rows.change(block, centre);
     if (changed > 0) stale.push([changed, i]);
   });
   stale.sort((a, b) => b[0] - a[0]);
   let done = 0;
-  while (done < stale.length && waiting.size < WAITING_MAX && (done === 0 || performance.now() < until)) {
+  while (done < stale.length && waiting.size < rows.waitingMax && (done === 0 || performance.now() < until)) {
     const row = stale[done++][1];
     rows.update(row, centre);
     waiting.add(row);
@@ -171,15 +174,16 @@ function slice() {
   const whole = done === stale.length;
   const state = `${id} ${rows.blocks.length} ${whole} ${ended}`;
   // If the buffer is full, the page has to receive the earlier rows first.
-  if (owed || (waiting.size === 0 && sorted === state)) return !whole && waiting.size < WAITING_MAX;
+  if (owed || (waiting.size === 0 && sorted === state)) return !whole && waiting.size < rows.waitingMax;
   const chosen = [...waiting];
   waiting.clear();
   sorted = state;
   owed = true;
-  const data = rows.packed(chosen);
+  const found = rows.take(chosen);
   const order = sorter.order(rows, centre, rotation, scene.header.near_plane);
   const settled = whole && ended;
-  postMessage({ type: "frame", id, rows: chosen, data, order, settled }, [data.buffer, order.buffer]);
+  const buffers = found.flatMap(({ words, harmonics }) => [words.buffer, harmonics.buffer]);
+  postMessage({ type: "frame", id, rows: found, order, settled }, [...buffers, order.buffer]);
   return !whole;
 }
 

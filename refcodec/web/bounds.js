@@ -26,7 +26,7 @@ export function checkBounds({ maxAnchors = Infinity, maxMemory = Infinity }, hea
   if (h.anchor_count > maxAnchors) throw new BoundPassedError("anchors", h.anchor_count, maxAnchors);
   const planes = 5 * h.plane_channels * h.plane_size ** 2;
   const anchor = attributeChannels(h) + h.offset_count;
-  // 9.4: the Gaussians of one chunk, as arrays and as rows
+  // 9.4: the Gaussians of one chunk, as arrays and in the kernel
   const splat = isStatic(h) ? 8 * h.offset_count * splatWidth(h) : 0;
   const atOnce = Math.min(h.anchor_count, h.chunk_size);
   const chunks = h.chunk_count * (CHUNK + (held ? HELD_CHUNK : 0));

@@ -205,7 +205,7 @@ export interface Scene {
   readonly metadata: ReadonlyMap<string, string>;
   /**
    * The Gaussians of a chunk of a static scene, or of all anchors of `decodeAll`. Throws RenderModelError if
-   * header.render_model is not 1, and RangeError if out of memory.
+   * header.render_model is not 1, TypeError for arrays of wrong types or lengths, and RangeError if out of memory.
    */
   splat(anchors: Anchors): Splat;
   /** Reads all ancillary sections, to complete `cameras` and `metadata`. Only after `open`. */
@@ -288,6 +288,27 @@ export interface View {
   readonly offsets: Uint8Array;
 }
 
+/**
+ * The plain Gaussians of a static scene, in the order of anchors and kept offsets. Only colours depend on the camera.
+ * Three numbers of a Gaussian follow each other, thus the arrays are attributes of WebGL and of three.js as they are.
+ */
+export interface PlainGaussians {
+  readonly count: number;
+  /** Means in the scene's world, count by 3. */
+  readonly positions: Float32Array;
+  /** Lengths of the axes, count by 3. They are not logarithms. */
+  readonly scales: Float32Array;
+  /** Quaternions w, x, y, z of length 1, count by 4. */
+  readonly rotations: Float32Array;
+  /** From 0 to 1. A Gaussian with 0 is not drawn. */
+  readonly opacities: Float32Array;
+  /**
+   * Red, green and blue of each spherical harmonic, count by header.colour_outputs. A colour is 1/2 plus the sum of
+   * these numbers times the harmonics of 14.6, which are those of 3DGS, in the direction from the camera to the mean.
+   */
+  readonly harmonics: Float32Array;
+}
+
 /** A chunk that was added to Gaussians. */
 export interface Added {
   /** The number of the chunk in the file, or undefined for the anchors of `decodeAll`. */
@@ -309,7 +330,7 @@ export interface Added {
 
 /**
  * The Gaussians of a scene, from any place (14.3 and 14.6). The networks run in WebAssembly, where the scene was
- * decoded, and those of a static scene in JavaScript.
+ * decoded.
  *
  * Values that do not depend on the place are computed once, when a chunk is added. They take 12 bytes times
  * header.render_width plus 32 bytes per anchor, and 13 bytes per kept offset. In a static scene only colours depend on
@@ -352,6 +373,11 @@ export class Gaussians {
   range(start: number, end: number, from: Viewpoint, out?: View): View;
   /** The same for all anchors that were added. */
   all(from: Viewpoint, out?: View): View;
+  /**
+   * The plain Gaussians of all anchors that were added, as new arrays. Throws RenderModelError if header.render_model
+   * is not 1.
+   */
+  plain(): PlainGaussians;
   /** The number of kept offsets of the anchors before this one, in the order of adding. anchorCount is allowed. */
   slotOf(anchor: number): number;
   /** Allocates arrays for `size` Gaussians, with count 0. */

@@ -10,7 +10,7 @@ import { RenderModelError } from "./errors.js";
 import { loadKernel, shareKernel } from "./kernel.js";
 import { parsePlanes } from "./planes.js";
 import { sourceOf } from "./source.js";
-import { rowsOf, Splatter } from "./splat.js";
+import { Splatter } from "./splat.js";
 import { parseWeights } from "./weights.js";
 
 export { cameraMatrix, centreOf, projectionMatrix, uprightMatrix } from "./camera.js";
@@ -73,7 +73,7 @@ class Scene {
     }
     this.layers = weights.layers.map(({ network, outputs, inputs, values }) => ({ network, outputs, inputs, values }));
     this.#kernel.makeScene(this.header, weights, { ...this.#index, frame, planes: this.planes });
-    if (isStatic(this.header)) this.#splatter = new Splatter(this, weights.layers);
+    if (isStatic(this.header)) this.#splatter = new Splatter(this, this.#kernel, weights);
     return this;
   }
 
@@ -87,6 +87,10 @@ class Scene {
   splat(anchors) {
     if (this.#splatter === undefined) throw new RenderModelError(this.header.render_model, "only 1 is static");
     return this.#splatter.splat(anchors);
+  }
+
+  splatRows(anchors) {
+    return this.#splatter.rows(anchors);
   }
 
   async readAncillary() {
@@ -208,7 +212,7 @@ async function* run(input, options, begun) {
     const digests = options.digests ? scene.digests() : undefined;
     for await (const chunk of scene.chunks()) {
       if (digests !== undefined) {
-        if (isStatic(scene.header)) chunk.splat = rowsOf(scene.splat(chunk));
+        if (isStatic(scene.header)) chunk.splat = scene.splatRows(chunk);
         chunk.digest = digests.add(chunk);
       }
       yield chunk;

@@ -3,19 +3,8 @@ import { checkBounds, gaussiansBytes } from "./bounds.js";
 import { centreOf } from "./camera.js";
 import { isStatic } from "./container.js";
 import { RenderModelError } from "./errors.js";
-import { kernelOf, VIEW } from "./kernel.js";
-import { StaticRenderer } from "./splat.js";
-
-// Anchors per kernel call. A scene may be too large for two copies in memory.
-const PIECE = 4096;
-// The types of the anchor arrays, and their numbers per anchor, for K offsets and F features.
-const ARRAYS = {
-  positions: [Float32Array, () => 3],
-  masks: [Uint8Array, (k) => k],
-  features: [Float32Array, (k, f) => f],
-  scalings: [Float32Array, () => 6],
-  offsets: [Float32Array, (k) => 3 * k],
-};
+import { kernelOf, PIECE, VIEW } from "./kernel.js";
+import { anchorArrays, StaticRenderer } from "./splat.js";
 
 // Returns the number of kept offsets before each anchor, and in total.
 function slotsOf(masks, count, offsets) {
@@ -106,17 +95,9 @@ export class Gaussians {
   }
 
   add(chunk) {
+    const arrays = anchorArrays(this.scene, chunk);
     const { count } = chunk;
-    const [k, f] = [this.scene.header.offset_count, this.scene.features];
-    if (!Number.isSafeInteger(count) || count < 0) throw new TypeError("the count of a chunk is no number of anchors");
-    const arrays = Object.entries(ARRAYS).map(([name, [type, width]]) => {
-      const array = chunk[name];
-      if (!(array instanceof type) || array.length !== count * width(k, f)) {
-        throw new TypeError(`${name} is no ${type.name} of ${count} x ${width(k, f)} numbers`);
-      }
-      return [array, width(k, f)];
-    });
-    const slots = slotsOf(chunk.masks, count, k);
+    const slots = slotsOf(chunk.masks, count, this.scene.header.offset_count);
     const kept = slots[count];
     const [start, slot] = [this.anchorCount, this.slotCount];
     const { header } = this.scene;
@@ -170,6 +151,18 @@ export class Gaussians {
       }
     }
     return out ?? trimmed(view);
+  }
+
+  plain() {
+    const { header } = this.scene;
+    if (!isStatic(header)) throw new RenderModelError(header.render_model, "only 1 is static");
+    const widths = { positions: 3, scales: 3, rotations: 4, opacities: 1, harmonics: header.colour_outputs };
+    const whole = { count: this.slotCount };
+    for (const [name, width] of Object.entries(widths)) {
+      whole[name] = new Float32Array(width * this.slotCount);
+      this.chunks.forEach(({ slot }, i) => whole[name].set(this.#own[i].drawn[name], width * slot));
+    }
+    return whole;
   }
 
   slotOf(anchor) {

@@ -21,6 +21,9 @@ export const VIEW = {
   opacities: [Float32Array, 1], anchors: [Uint32Array, 1], offsets: [Uint8Array, 1],
 };
 
+// Anchors per kernel call. A scene may be too large for two copies in memory.
+export const PIECE = 4096;
+
 let compiled;
 // The kernels of scenes, hidden from callers.
 const kernels = new WeakMap();
@@ -208,6 +211,33 @@ class Kernel {
     const to = this.keep("values", 4 * n * width);
     this.run.attributeValues(symbols, steps + kind, step, n, width, to);
     return this.view(Float32Array, to, n * width);
+  }
+
+  // SPEC 9.4: returns the rendering networks of a static scene. weight, bias, exponent: of all their layers.
+  makeSplatter({ header, features }, weight, bias, exponent) {
+    const { render_width: width, offset_count: offsets, colour_outputs: colours } = header;
+    const given = [weight, bias, exponent].map((array) => this.put(array));
+    const at = this.run.makeSplatter(features, width, offsets, colours, ...given) >>> 0;
+    for (const own of given) this.run.release(own);
+    if (at === 0) throw noMemory();
+    return at;
+  }
+
+  // SPEC 9.4: returns the Gaussians of anchors. arrays: as for addAnchors. kept: the kept offsets. widths: the numbers
+  // of a Gaussian by array. stride: 0, or the sum of the widths, for one array of rows. The arrays are views, valid
+  // until the next call.
+  splat(splatter, count, arrays, kept, widths, stride) {
+    const places = arrays.map((array, i) => this.keepCopy(`anchors ${i}`, array));
+    const all = widths.reduce((sum, width) => sum + width, 0);
+    const start = this.keep("splat", 4 * all * kept);
+    // Each array follows the one before it, in rows or as a whole.
+    const to = widths.map((_, i) => {
+      const before = widths.slice(0, i).reduce((sum, width) => sum + width, 0);
+      return start + 4 * before * (stride > 0 ? 1 : kept);
+    });
+    known(this.run.splat(splatter, count, ...places, kept, stride, ...to));
+    if (stride > 0) return { count: kept, arrays: [this.view(Float32Array, start, all * kept)] };
+    return { count: kept, arrays: widths.map((width, i) => this.view(Float32Array, to[i], width * kept)) };
   }
 
   // SPEC 14.3: returns the rendering networks. layers: of the scene.

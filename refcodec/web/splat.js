@@ -1,148 +1,106 @@
 // The Gaussians of a static scene: decoded (SPEC.md 9.4), and seen from a place (14.6).
 import { RENDERING } from "./container.js";
-import { power, roundScaled } from "./numbers.js";
-import { ACTIVATION_MAX } from "./weights.js";
+import { PIECE } from "./kernel.js";
 
-// 2.5
-const OUTPUT_BITS = 12;
-const SCALING_BITS = 16;
-const SCALING_BOUND = 27 * 2 ** 16;
+// The types of the anchor arrays, and their numbers per anchor, for K offsets and F features.
+const ARRAYS = {
+  positions: [Float32Array, () => 3],
+  masks: [Uint8Array, (k) => k],
+  features: [Float32Array, (k, f) => f],
+  scalings: [Float32Array, () => 6],
+  offsets: [Float32Array, (k) => 3 * k],
+};
 
-const EXP2 = [1073741824, 744260848, 257945537, 59571654, 10398739, 1330132, 234908];
-const LOG2_E = 1549082005;
-// 9.4: the outputs of the covariance network for an offset: logarithms of lengths, then a quaternion
-const LENGTHS = 3;
-const COVARIANCE = 7;
-// The numbers of a Gaussian by array, in their order.
-const WIDTHS = { means: 3, logLengths: 3, quaternions: 4, logits: 1 };
-
-const clamp = (x, bound) => Math.min(Math.max(x, -bound), bound);
-
-// 7.2: the outputs of some rows of a layer. Each sum is below ACCUMULATOR_BOUND.
-function outputs({ weight, bias, exponent }, inputs, first, to) {
-  const width = inputs.length;
-  for (let o = 0; o < to.length; o++) {
-    const row = first + o;
-    let sum = bias[row];
-    for (let i = 0, at = row * width; i < width; i++, at++) sum += weight[at] * inputs[i];
-    const e = exponent[row];
-    to[o] = (sum + ((1 << e) >> 1)) >> e;
-  }
-  return to;
-}
-
-// EXPONENTIAL: m, and 2^n
-function exponential(t) {
-  // Below 2^52, thus exact.
-  const y = t * LOG2_E;
-  const whole = Math.floor(y / 2 ** 46);
-  const fraction = Math.floor((y - whole * 2 ** 46) / 2 ** 16);
-  let m = EXP2[6];
-  // A product has up to 61 bits. Its two parts, and the floor of their sum, are exact.
-  for (let i = 5; i >= 0; i--) {
-    const low = m % 2 ** 15;
-    const high = (m - low) / 2 ** 15;
-    m = EXP2[i] + Math.floor((high * fraction + Math.floor((low * fraction) / 2 ** 15)) / 2 ** 15);
-  }
-  return { m, unit: power(whole - 30) };
-}
-
-const bits = new DataView(new ArrayBuffer(8));
-
-// ROUND_F32 of x * m * unit, for x an f32. The product has up to 55 bits. Two products with parts of m are exact. Their
-// sum is rounded to odd: to the neighbour with an odd significand if it is not exact. Thus f32 rounds it correctly.
-function product(x, { m, unit }) {
-  const low = m % 2 ** 16;
-  const [most, least] = [x * (m - low), x * low];
-  const sum = most + least;
-  const rest = least - (sum - most);
-  if (rest === 0) return Math.fround(sum * unit);
-  bits.setFloat64(0, sum);
-  const word = bits.getUint32(4);
-  if (word % 2 === 0) {
-    const away = rest > 0 === sum > 0;
-    if (!away && word === 0) bits.setUint32(0, bits.getUint32(0) - 1);
-    bits.setUint32(4, away ? word + 1 : word - 1);
-  }
-  return Math.fround(bits.getFloat64(0) * unit);
-}
-
-// ADD_F32. Binary64 has more than twice the digits, thus rounding twice gives the same. The 0 turns -0 into +0.
-function add(a, b) {
-  return Math.fround(a + b) + 0;
+// Returns the arrays of anchors, and their widths. Throws TypeError for others.
+export function anchorArrays({ header, features }, anchors) {
+  const { count } = anchors;
+  if (!Number.isSafeInteger(count) || count < 0) throw new TypeError("the count of a chunk is no number of anchors");
+  return Object.entries(ARRAYS).map(([name, [type, widthOf]]) => {
+    const [array, width] = [anchors[name], widthOf(header.offset_count, features)];
+    if (!(array instanceof type) || array.length !== count * width) {
+      throw new TypeError(`${name} is no ${type.name} of ${count} x ${width} numbers`);
+    }
+    return [array, width];
+  });
 }
 
 // SPLAT for the anchors of a scene
 export class Splatter {
-  #header;
-  #features;
+  #scene;
+  #kernel;
   #networks;
+  // The numbers of a Gaussian by array, in their order.
+  #widths;
 
-  // layers: from parseWeights
-  constructor({ header, features }, layers) {
-    this.#header = header;
-    this.#features = features;
-    this.#networks = RENDERING.map((name) => layers.filter(({ network }) => network === name).map(({ rows }) => rows));
+  // coding: from parseWeights. The rows of the rendering networks are last.
+  constructor(scene, kernel, { layers, coding }) {
+    this.#scene = scene;
+    this.#kernel = kernel;
+    this.#widths = { means: 3, logLengths: 3, quaternions: 4, logits: 1, harmonics: scene.header.colour_outputs };
+    const own = layers.filter(({ network }) => RENDERING.includes(network));
+    const rows = own.reduce((sum, { outputs }) => sum + outputs, 0);
+    const weights = own.reduce((sum, { outputs, inputs }) => sum + outputs * inputs, 0);
+    const { weight, bias, exponent } = coding;
+    const last = [weight.subarray(weight.length - weights), bias.subarray(bias.length - rows)];
+    this.#networks = kernel.makeSplatter(scene, ...last, exponent.subarray(exponent.length - rows));
   }
 
-  // Returns the arrays of WIDTHS and harmonics, and count, the number of Gaussians.
-  splat({ count, positions, masks, features, scalings, offsets }) {
-    const { offset_count: k, colour_outputs: colours, render_width: width } = this.#header;
-    const f = this.#features;
-    let kept = 0;
-    for (const mask of masks) kept += mask !== 0 ? 1 : 0;
-    const own = { count: kept };
-    for (const [name, size] of Object.entries(WIDTHS)) own[name] = new Float32Array(size * kept);
-    own.harmonics = new Float32Array(colours * kept);
-    const inputs = new Int32Array(f);
-    const hidden = RENDERING.map(() => new Int32Array(width));
-    const [opacity, covariance, colour] = [1, COVARIANCE, colours].map((size) => new Int32Array(size));
-    const s = new Float64Array(6);
-    for (let anchor = 0, slot = 0; anchor < count; anchor++) {
-      const mask = masks.subarray(k * anchor, k * (anchor + 1));
-      if (mask.every((value) => value === 0)) continue;
-      for (let i = 0; i < f; i++) inputs[i] = clamp(roundScaled(features[f * anchor + i], 1), ACTIVATION_MAX);
-      this.#networks.forEach(([rows], n) => {
-        const to = outputs(rows, inputs, 0, hidden[n]);
-        for (let i = 0; i < width; i++) to[i] = Math.min(Math.max(to[i], 0), ACTIVATION_MAX);
-      });
-      for (let i = 0; i < 6; i++) s[i] = clamp(roundScaled(scalings[6 * anchor + i], 2 ** SCALING_BITS), SCALING_BOUND);
-      const exponentials = [exponential(s[0]), exponential(s[1]), exponential(s[2])];
-      for (let offset = 0; offset < k; offset++) {
-        if (mask[offset] === 0) continue;
-        // The outputs for other offsets are not used.
-        [opacity, covariance, colour].forEach((to, n) => {
-          outputs(this.#networks[n][1], hidden[n], offset * to.length, to);
-        });
-        for (let axis = 0; axis < 3; axis++) {
-          const from = offsets[3 * (k * anchor + offset) + axis];
-          const length = s[3 + axis] + covariance[axis] * 2 ** (SCALING_BITS - OUTPUT_BITS);
-          own.means[3 * slot + axis] = add(positions[3 * anchor + axis], product(from, exponentials[axis]));
-          own.logLengths[3 * slot + axis] = length / 2 ** SCALING_BITS;
-        }
-        const quaternion = covariance.subarray(LENGTHS);
-        if (quaternion.every((x) => x === 0)) quaternion[0] = 1 << OUTPUT_BITS;
-        for (let i = 0; i < 4; i++) own.quaternions[4 * slot + i] = quaternion[i] / 2 ** OUTPUT_BITS;
-        own.logits[slot] = opacity[0] / 2 ** OUTPUT_BITS;
-        for (let i = 0; i < colours; i++) own.harmonics[colours * slot + i] = colour[i] / 2 ** OUTPUT_BITS;
-        slot++;
+  // Returns the arrays, and count, the number of Gaussians.
+  splat(anchors) {
+    const found = { count: 0 };
+    const [kept, pieces] = this.#pieces(anchors, 0);
+    for (const [name, width] of Object.entries(this.#widths)) found[name] = new Float32Array(width * kept);
+    for (const { count, arrays } of pieces) {
+      Object.entries(this.#widths).forEach(([name, width], i) => found[name].set(arrays[i], width * found.count));
+      found.count += count;
+    }
+    return found;
+  }
+
+  // Returns the numbers of each Gaussian one after the other, as in the part splat (9.3).
+  rows(anchors) {
+    const width = Object.values(this.#widths).reduce((sum, own) => sum + own, 0);
+    const [kept, pieces] = this.#pieces(anchors, width);
+    const rows = new Float32Array(width * kept);
+    let at = 0;
+    for (const { arrays } of pieces) {
+      rows.set(arrays[0], at);
+      at += arrays[0].length;
+    }
+    return rows;
+  }
+
+  // Returns the number of Gaussians, and those of the anchors piece by piece. stride: as in the kernel.
+  #pieces(anchors, stride) {
+    const arrays = anchorArrays(this.#scene, anchors);
+    const [kernel, networks, widths] = [this.#kernel, this.#networks, Object.values(this.#widths)];
+    const keptOf = (masks) => masks.reduce((sum, mask) => sum + (mask !== 0 ? 1 : 0), 0);
+    function* pieces() {
+      for (let from = 0; from < anchors.count; from += PIECE) {
+        const count = Math.min(PIECE, anchors.count - from);
+        const piece = arrays.map(([array, width]) => array.subarray(from * width, (from + count) * width));
+        yield kernel.splat(networks, count, piece, keptOf(piece[1]), widths, stride);
       }
     }
-    return own;
+    return [keptOf(anchors.masks), pieces()];
   }
 }
 
-// The numbers of each Gaussian one after the other, as in the part splat (9.3)
-export function rowsOf({ count, ...arrays }) {
-  const list = Object.values(arrays).map((array) => [array, count === 0 ? 0 : array.length / count]);
-  const width = list.reduce((sum, [, own]) => sum + own, 0);
-  const rows = new Float32Array(width * count);
-  let first = 0;
-  for (const [array, own] of list) {
-    for (let i = 0; i < array.length; i++) rows[width * Math.floor(i / own) + first + (i % own)] = array[i];
-    first += own;
+// STATIC_GAUSSIAN except the colours, in place of the numbers of a splat. Opacity 0 marks a Gaussian that is not drawn.
+export function activated({ count, means: positions, logLengths: scales, quaternions: rotations, logits, harmonics }) {
+  const opacities = logits;
+  for (let i = 0; i < scales.length; i++) scales[i] = Math.exp(scales[i]);
+  for (let i = 0; i < count; i++) {
+    let square = 0;
+    for (let at = 4 * i; at < 4 * i + 4; at++) square += rotations[at] * rotations[at];
+    const length = Math.sqrt(square);
+    for (let at = 4 * i; at < 4 * i + 4; at++) rotations[at] /= length;
+    opacities[i] = 1 / (1 + Math.exp(-logits[i]));
+    let check = 0;
+    for (let at = 3 * i; at < 3 * i + 3; at++) check += positions[at] * 0 + scales[at] * 0;
+    if (check !== 0) opacities[i] = 0;
   }
-  return rows;
+  return { count, positions, scales, rotations, opacities, harmonics };
 }
 
 // HARMONICS: sets the first ones of 16 numbers
@@ -180,25 +138,16 @@ export class StaticRenderer {
     this.#values = new Float64Array(this.#count);
   }
 
-  // STATIC_GAUSSIAN except the colours. Opacity 0 marks a Gaussian that is not drawn.
+  // Returns the Gaussians, and the number of the offset of each.
   add(anchors) {
-    const { count, means, logLengths: scales, quaternions: rotations, logits, harmonics } = this.#scene.splat(anchors);
+    const own = activated(this.#scene.splat(anchors));
     const k = this.#scene.header.offset_count;
-    const offsets = new Uint8Array(count);
+    const offsets = new Uint8Array(own.count);
     let slot = 0;
     anchors.masks.forEach((mask, i) => {
       if (mask !== 0) offsets[slot++] = i % k;
     });
-    scales.forEach((x, i) => (scales[i] = Math.exp(x)));
-    const opacities = logits.map((x) => 1 / (1 + Math.exp(-x)));
-    for (let i = 0; i < count; i++) {
-      const rotation = rotations.subarray(4 * i, 4 * i + 4);
-      const length = Math.sqrt(rotation.reduce((sum, x) => sum + x * x, 0));
-      rotation.forEach((x, at) => (rotation[at] = x / length));
-      const numbers = [...means.subarray(3 * i, 3 * i + 3), ...scales.subarray(3 * i, 3 * i + 3)];
-      if (!numbers.every(Number.isFinite)) opacities[i] = 0;
-    }
-    return { means, scales, rotations, opacities, harmonics, offsets };
+    return { ...own, offsets };
   }
 
   release() {}
@@ -212,14 +161,14 @@ export class StaticRenderer {
         if (!(own.opacities[from] > 0)) continue;
         const to = view.count++;
         for (let i = 0; i < 3; i++) {
-          view.positions[3 * to + i] = own.means[3 * from + i];
+          view.positions[3 * to + i] = own.positions[3 * from + i];
           view.scales[3 * to + i] = own.scales[3 * from + i];
         }
         for (let i = 0; i < 4; i++) view.rotations[4 * to + i] = own.rotations[4 * from + i];
         view.opacities[to] = own.opacities[from];
         view.anchors[to] = first + anchor;
         view.offsets[to] = own.offsets[from];
-        const away = [own.means[3 * from] - x, own.means[3 * from + 1] - y, own.means[3 * from + 2] - z];
+        const away = [own.positions[3 * from] - x, own.positions[3 * from + 1] - y, own.positions[3 * from + 2] - z];
         const distance = Math.sqrt(away[0] ** 2 + away[1] ** 2 + away[2] ** 2);
         const scale = distance > 0 ? 1 / distance : 0;
         setHarmonics(away[0] * scale, away[1] * scale, away[2] * scale, count, values);

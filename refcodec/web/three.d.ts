@@ -46,6 +46,8 @@ export class C3gsModel {
   /**
    * Sets splats from 0 on to the view of a camera, and returns their number.
    *
+   * For a static scene, `sparkSplats` of `c3gs/adapters` gives all cameras at once.
+   *
    * The target needs room for `gaussians.slotCount` splats. Splats of an earlier view that are not in this one get
    * opacity 0. Colours are those of the file, whose header states their encoding.
    */

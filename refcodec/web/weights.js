@@ -8,7 +8,7 @@ const PLANE_SHIFT_MAX = 10;
 const CARM_SHIFT_MAX = 16;
 const WEIGHT_EXPONENT_MIN = -104;
 const WEIGHT_EXPONENT_MAX = 149;
-export const ACTIVATION_MAX = 1023;
+const ACTIVATION_MAX = 1023;
 const WEIGHT_MAX = 1023;
 const ACCUMULATOR_BOUND = 2 ** 24;
 const EXPONENT_MAX = 20;
@@ -18,8 +18,7 @@ const MODEL_LENGTH = 8;
 // [R6.8-1] to [R6.8-8] in the order of 10.1. data: the section. start: its offset. kernel: decodes packed weights.
 //
 // Returns planeShift, carmShift, `layers` with the values of each layer in file order, and for the kernel `coding` and
-// `shapes`: the integers of the integer networks, layer by layer, and the numbers of outputs and inputs of each. `rows`
-// of their layers are views of these integers.
+// `shapes`: the integers of the integer networks, layer by layer, and the numbers of outputs and inputs of each.
 export function parseWeights(data, start, mode, header, kernel) {
   const inputs = carmInputs(header);
   const first = pad4(2 + inputs);
@@ -148,10 +147,6 @@ function derive(list, mode, header) {
   let [row, at] = [0, 0];
   for (const layer of coded) {
     const { outputs, inputs, values } = layer;
-    layer.rows = {
-      weight: coding.weight.subarray(at, at + outputs * inputs), bias: coding.bias.subarray(row, row + outputs),
-      exponent: coding.exponent.subarray(row, row + outputs),
-    };
     for (let r = 0; r < outputs; r++, row++, at += inputs) {
       const own = values.subarray(r * inputs, (r + 1) * inputs);
       const right = deriveRow(own, values[outputs * inputs + r], coding, row, at);

@@ -8,6 +8,7 @@ import {
   BoundPassedError, C3gsError, cameraMatrix, centreOf, decode, decodeAll, decodeChunk, Gaussians, open,
   projectionMatrix, uprightMatrix,
 } from "../../refcodec/web/c3gs.js";
+import { playCanvasElements } from "../../refcodec/web/adapters.js";
 
 const hex = (bytes) => Buffer.from(bytes).toString("hex");
 const blocks = function* (bytes, size) {
@@ -59,6 +60,16 @@ async function views(bytes, place) {
     slots: Array.from({ length: n + 1 }, (_, anchor) => gaussians.slotOf(anchor)),
     changes: Array.from(gaussians.changes(place)),
   };
+}
+
+// The plain Gaussians of a static scene, added chunk by chunk, and the properties that PlayCanvas gets.
+async function plain(bytes) {
+  let gaussians;
+  for await (const chunk of decode(bytes)) (gaussians ??= new Gaussians(chunk.scene)).add(chunk);
+  const { count, ...arrays } = gaussians.plain();
+  const [{ properties }] = playCanvasElements({ count, ...arrays });
+  const named = [...Object.entries(arrays), ...properties.map(({ name, storage }) => [name, storage])];
+  return { count, ...Object.fromEntries(named.map(([name, array]) => [name, hex(array.buffer)])) };
 }
 
 // How much the view of each chunk changes on the way between two places. The last chunk is not seen before.
@@ -121,6 +132,7 @@ async function answer({ file, way, number, options, ...rest }, chunks) {
   if (way === "changes") return changes(bytes, rest);
   if (way === "held") return held(bytes, options);
   if (way === "views") return views(bytes, rest.place);
+  if (way === "plain") return plain(bytes);
   if (way === "drawing") return drawing(bytes);
   if (way === "ancillary") {
     const scene = await open(bytes, options);

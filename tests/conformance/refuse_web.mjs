@@ -13,6 +13,7 @@ const calls = {
   "a negative count": () => gaussians.add({ ...anchors, count: -1 }),
   "wrong numbers": () => gaussians.add({ ...anchors, features: Float64Array.from(anchors.features) }),
   "a short array": () => gaussians.add({ ...anchors, offsets: anchors.offsets.subarray(1) }),
+  "not static": () => gaussians.plain(),
   "no chunk": () => gaussians.chunk(0, place),
   "no anchor": () => gaussians.range(0, 1, place),
   "before the first anchor": () => gaussians.range(-1, 0, place),

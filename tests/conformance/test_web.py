@@ -246,7 +246,9 @@ def test_the_types_are_those_of_the_module() -> None:
 
 def test_browsers_can_load_the_module() -> None:
     """Of what c3gs.js and three.js import, nothing is Node's. The one import of Node's files is for Node alone."""
-    todo, seen = ["c3gs.js", "three.js"], set()
+    adapters = (WEB / "adapters.js").read_text(encoding="utf-8")
+    assert set(re.findall(r"^export function (\w+)", adapters, re.MULTILINE)) == declared_by("adapters.d.ts")
+    todo, seen = ["c3gs.js", "three.js", "adapters.js"], set()
     while todo:
         name = todo.pop()
         seen.add(name)

@@ -17,6 +17,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from web_program import MISSING, NODE, PROGRAM, Decoder, running
 
+from conformance.cases import static
 from conformance.cases.scenes import MAIN_DIMENSIONS, random_scene
 from conformance.manifest import VECTORS, GaussiansOf, load
 from conformance.runner.gaussians import difference
@@ -24,7 +25,9 @@ from refcodec import statuses
 from refcodec.bitstream import cameras, codec, metadata
 from refcodec.bitstream.cameras import NamedCamera
 from refcodec.bitstream.reconstruction import digest, reconstruct
+from refcodec.bitstream.reconstruction import gaussians as splat_of
 from refcodec.bitstream.scene import Ancillary, Scene
+from refcodec.bitstream.splat import HARMONICS, LENGTHS, LOGIT, MEAN, QUATERNION
 from refcodec.render.camera import Camera, default_camera
 from refcodec.render.gaussians import Gaussians, gaussians, gaussians_document
 
@@ -107,6 +110,35 @@ def test_gaussians_are_those_of_the_reference(decoder: Decoder, name: str) -> No
                 assert all(np.array_equal(a, b) for a, b in zip(*map(_columns, (found, seen(said[way]))), strict=True))
 
 
+@pytest.mark.requirement("G14.6-1")
+@pytest.mark.parametrize("degree", range(4))
+def test_plain_gaussians_are_those_of_the_reference(decoder: Decoder, degree: int) -> None:
+    """They are those that the file gives, and for PlayCanvas the properties of PLY files of 3DGS."""
+    data = static.of_degree(degree)
+    scene = codec.parse(data).scene
+    numbers = splat_of(scene, reconstruct(scene))
+    said = decoder.ask(data, "plain")
+    assert said["count"] == len(numbers) > 5
+    found = {
+        name: np.frombuffer(bytes.fromhex(text), "<f4").reshape(len(numbers), -1)
+        for name, text in said.items()
+        if isinstance(text, str)
+    }
+    assert np.array_equal(found["positions"], numbers[:, MEAN])
+    assert np.array_equal(found["harmonics"], numbers[:, HARMONICS])
+    wide = numbers.astype(np.float64)
+    assert np.allclose(found["scales"], np.exp(wide[:, LENGTHS]), rtol=1e-6, atol=0)
+    unit = wide[:, QUATERNION] / np.linalg.norm(wide[:, QUATERNION], axis=1, keepdims=True)
+    assert np.allclose(found["rotations"], unit, atol=1e-6)
+    assert np.allclose(found["opacities"][:, 0], 1 / (1 + np.exp(-wide[:, LOGIT])), rtol=1e-6, atol=0)
+    harmonics = numbers[:, HARMONICS].reshape(len(numbers), -1, 3)
+    rest = harmonics[:, 1:].transpose(0, 2, 1).reshape(len(numbers), -1)
+    for name, columns in (("f_dc", harmonics[:, 0]), ("f_rest", rest), ("rot", unit), ("scale", numbers[:, LENGTHS])):
+        own = [found.pop(f"{name}_{i}") for i in range(columns.shape[1])]
+        assert all(np.allclose(a[:, 0], b, rtol=1e-5, atol=1e-5) for a, b in zip(own, columns.T, strict=True))
+    assert set(found) == {"positions", "scales", "rotations", "opacities", "harmonics", "x", "y", "z", "opacity"}
+
+
 def _columns(found: Gaussians) -> list[Any]:
     return list(vars(found).values())
 
@@ -186,7 +218,8 @@ def test_wrong_calls_are_refused() -> None:
         [str(NODE), program, VECTORS / "valid" / "cameras.c3gs"], capture_output=True, text=True, check=True
     )
     said = json.loads(done.stdout)
-    assert {name: kind for name, kind in said.items() if kind not in ("TypeError", "RangeError")} == {"right": "right"}
+    others = {name: kind for name, kind in said.items() if kind not in ("TypeError", "RangeError")}
+    assert others == {"right": "right", "not static": "RenderModelError"}
 
 
 def test_the_examples_of_the_manual_run(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@ import {
   BoundPassedError, C3gsError, cameraMatrix, centreOf, decode, decodeAll, decodeChunk, Gaussians, open,
   projectionMatrix, RenderModelError, uprightMatrix, type Scene, type View,
 } from "c3gs";
+import { playCanvasElements, sparkSplats } from "c3gs/adapters";
 import { C3gsLoader, C3gsModel } from "c3gs/three";
 import { PackedSplats, ExtSplats, SplatMesh } from "@sparkjsdev/spark";
 import { Object3D, PerspectiveCamera, Scene as World } from "three";
@@ -59,6 +60,9 @@ async function three(world: World, camera: PerspectiveCamera): Promise<void> {
   world.background = model.background;
   model.fill(packedSplats, camera, mesh);
   model.fill(new ExtSplats({}), camera, mesh);
+  const plain = model.gaussians.plain();
+  world.add(new SplatMesh({ splats: new ExtSplats(sparkSplats(plain)) }));
+  console.log(playCanvasElements(plain)[0].properties.map(({ name, storage }) => [name, storage.length]));
   loader.load("a.c3gs", (own) => console.log(own.bounds), undefined, (error) => console.log(error));
 }
 void [stream, whole, three];

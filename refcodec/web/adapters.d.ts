@@ -1,0 +1,34 @@
+// The plain Gaussians of a static scene in the layouts of other renderers. None of them is imported.
+import { PlainGaussians } from "./c3gs.js";
+
+/**
+ * Options of `ExtSplats` of `@sparkjsdev/spark` 2: 32 bytes for a Gaussian, and 16 to 64 for its harmonics.
+ *
+ *     const mesh = new SplatMesh({ splats: new ExtSplats(sparkSplats(gaussians.plain())) });
+ *
+ * Means are binary32. Opacities, colours and logarithms of lengths are binary16. A quaternion has 32 bits. The three
+ * numbers of a harmonic have eight bits each, and a common exponent.
+ */
+export function sparkSplats(gaussians: PlainGaussians): {
+  extArrays: [Uint32Array, Uint32Array];
+  numSplats: number;
+  extra: Record<string, Uint32Array>;
+};
+
+/** An array of a property of PlayCanvas. */
+export interface PlayCanvasProperty {
+  type: "float";
+  name: string;
+  storage: Float32Array;
+  byteSize: 4;
+}
+
+/**
+ * The argument of `GSplatData` of `playcanvas` 2: the properties of PLY files of 3DGS, an array for each.
+ *
+ *     const data = new GSplatData(playCanvasElements(gaussians.plain()));
+ *     entity.addComponent("gsplat", { resource: new GSplatResource(app.graphicsDevice, data) });
+ */
+export function playCanvasElements(
+  gaussians: PlainGaussians,
+): [{ name: "vertex"; count: number; properties: PlayCanvasProperty[] }];
