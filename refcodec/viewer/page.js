@@ -14,7 +14,7 @@ const QUICK = 0.4;
 const SHARE_MIN = 0.1;
 // Milliseconds without motion until all pixels are drawn again.
 const STILL = 150;
-// Radians between two frames of a turn.
+// Radians of a step around the pivot.
 const STEP = Math.PI / 60;
 // The most device pixels per CSS pixel: more are not visible.
 const RATIO_MAX = 2;
@@ -177,7 +177,7 @@ class Viewer {
   }
 
   ask() {
-    if (!this.turning) this.asked ??= requestAnimationFrame((time) => this.#tick(time));
+    this.asked ??= requestAnimationFrame((time) => this.#tick(time));
   }
 
   #tick(time) {
@@ -289,35 +289,6 @@ class Viewer {
     this.changed(orbit(this.pose, this.up, [STEP, 0]));
     await this.settle();
     this.drawing.finish();
-  }
-
-  // Turns around the pivot for some seconds. Returns the seconds, the frames, the frames of the worker, the final
-  // resolution share, and the seconds of one further frame with all pixels.
-  async turn(seconds) {
-    await this.settle();
-    this.turning = true;
-    const [start, before] = [performance.now(), this.frames];
-    let last = start;
-    const found = { frames: 0 };
-    for (let passed = 0; passed < seconds; passed = (last - start) / 1000) {
-      this.pose = orbit(this.pose, this.up, [STEP, 0]);
-      this.#send();
-      this.draw(this.share);
-      this.drawing.finish();
-      // Lets frames of the worker arrive.
-      await new Promise((resolve) => setTimeout(resolve));
-      const now = performance.now();
-      this.#adapt(now - last, SLOW.moving);
-      last = now;
-      found.frames++;
-    }
-    Object.assign(found, { seconds: (last - start) / 1000, updates: this.frames - before, share: this.share });
-    this.draw(1);
-    this.drawing.finish();
-    found.whole = (performance.now() - last) / 1000;
-    this.turning = false;
-    this.changed();
-    return found;
   }
 
   #save() {
