@@ -18,7 +18,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -32,9 +32,11 @@ from refcodec.bitstream.dimensions import RENDER_MODELS, RENDERING, STATIC
 from refcodec.bitstream.reconstruction import gaussians, reconstruct
 from refcodec.bitstream.scene import Scene
 from refcodec.bitstream.tables import tables
-from refcodec.export.fit import fit
+from refcodec.convert.splat_files import read_splats
+from refcodec.export.fit import fit, render_settings
 from refcodec.export.ply import ply_bytes
-from refcodec.export.splats import Splats
+from refcodec.export.splats import Splats, draw
+from refcodec.export.spz import spz_file
 from refcodec.export.views import views_of
 from refcodec.render.view import View, stated_cameras
 
@@ -69,11 +71,23 @@ def static_scene(scene: Scene) -> Scene:
     return replace(scene, dimensions=d, networks=networks, render=replace(scene.render, render_model=STATIC))
 
 
-def exported(trained: bytes) -> Splats:
-    """Returns the Gaussians of a scene, as `refcodec export` fits them without photographs."""
+def exported(trained: bytes) -> tuple[Splats, Callable[[Splats], float]]:
+    """Returns the Gaussians of a scene, as `refcodec export` fits them without photographs, and a measure.
+
+    The measure is the mean PSNR in dB of pictures of other Gaussians relative to those of these, in test views.
+    """
     scene = parse(trained).scene
     view = View(scene)
-    return fit(view, views_of(view, stated_cameras(scene)).fit, DEGREE, 1, no_progress).splats
+    views, settings = views_of(view, stated_cameras(scene)), render_settings(view)
+    splats = fit(view, views.fit, DEGREE, 1, no_progress).splats
+
+    def pictures(shown: Splats) -> list[Any]:
+        return [np.clip(draw(shown, camera, settings).image, 0, 1).astype(np.float64) for camera in views.test]
+
+    right = pictures(splats)
+    return splats, lambda other: float(
+        np.mean([-10 * np.log10(np.mean((one - two) ** 2)) for one, two in zip(right, pictures(other), strict=True)])
+    )
 
 
 def repeated(splats: Splats, count: int) -> Splats:
@@ -140,41 +154,43 @@ def section(sources: dict[str, Path], anchors: int, rounds: int) -> list[str]:
     scene = large(TRAINED, anchors, KEPT).path
     whole = parse(scene.read_bytes()).scene
     count = int(whole.masks.sum())
-    splats = exported(TRAINED.read_bytes())
+    splats, psnr = exported(TRAINED.read_bytes())
+    own = spz_file(splats)
+    single = [_single("SPZ, `refcodec export`", len(own.data), len(splats.mean), psnr(own.splats))]
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         static = folder / "static.c3gs"
         static.write_bytes(emit(static_scene(whole)))
         files = {OWN: scene, OWN_STATIC: static}
         calls: dict[str, Any] = {OWN: lambda: _own(scene), OWN_STATIC: lambda: _own(static)}
-        (folder / "small.ply").write_bytes(ply_bytes(splats))
-        (folder / "large.ply").write_bytes(ply_bytes(repeated(splats, count)))
-        each = {}
+        one, many, read = (folder / f"{size}.ply" for size in ("one", "many", "read"))
+        one.write_bytes(ply_bytes(splats))
+        many.write_bytes(ply_bytes(repeated(splats, count)))
         for library, source in sources.items():
-            program = built(library, source, folder)
-            coded = {size: folder / f"{size}.{library}" for size in ("small", "large")}
-            for size, path in coded.items():
-                _ran([program, folder / f"{size}.ply", path])
-            title = NAMES[library]
-            files[title] = coded["large"]
-            calls[title] = lambda program=program, path=coded["large"]: _others(program, path)
-            each[title] = coded["small"].stat().st_size / len(splats.mean)
-        found: dict[str, list[dict[str, float]]] = {title: [] for title in calls}
+            program, title = built(library, source, folder), NAMES[library]
+            files[title] = folder / f"many.{library}"
+            _ran([program, many, files[title]])
+            calls[title] = lambda program=program, path=files[title]: _others(program, path)
+            coded = folder / f"one.{library}"
+            _ran([program, one, coded])
+            _ran([program, coded, read])
+            found = psnr(Splats(**read_splats(read)))
+            single.append(_single(title, coded.stat().st_size, len(splats.mean), found))
+        runs: dict[str, list[dict[str, float]]] = {title: [] for title in calls}
         for _ in tqdm(range(rounds), leave=False):
             for title, call in calls.items():
-                found[title].append(call())
+                runs[title].append(call())
         sizes = {title: path.stat().st_size for title, path in files.items()}
-    best = {title: min(runs, key=lambda run: run["seconds"]) for title, runs in found.items()}
+    best = {title: min(own, key=lambda run: run["seconds"]) for title, own in runs.items()}
     if {run["count"] for run in best.values()} != {count}:
         raise LibraryError(f"the decoders found {best}, but there are {count} Gaussians")
     base = best[NAMES["spz"]]["seconds"]
     rows = []
     for title, run in best.items():
-        own = [f"{run['seconds']:.3f}", f"{run['seconds'] / base:.2f}", f"{1e6 * run['seconds'] / count:.2f}"]
-        rows.append([title, f"{sizes[title]:,}", f"{8 * sizes[title] / count:.1f}", *own])
+        times = [f"{run['seconds']:.3f}", f"{run['seconds'] / base:.2f}", f"{1e6 * run['seconds'] / count:.2f}"]
+        rows.append([title, f"{sizes[title]:,}", f"{8 * sizes[title] / count:.1f}", *times])
     parts = best[OWN_STATIC]
     words = [f"--{library} {library.upper()}" for library in sources]
-    single = ", ".join(f"{8 * size:.1f} in {title}" for title, size in each.items())
     return [
         f"`python -m benchmarks.peers.speed {' '.join(words)} --anchors {anchors} --rounds {rounds}`",
         "",
@@ -188,9 +204,15 @@ def section(sources: dict[str, Path], anchors: int, rounds: int) -> list[str]:
         f"C3GS has the symbols of `{TRAINED.name}`, as in `decode`. The static scene has random rendering networks.",
         f"Its parts are {parts['symbols']:.3f} s for symbols, {parts['values']:.3f} s for values, and"
         f" {parts['Gaussians']:.3f} s for Gaussians (NumPy).",
-        "The others have copies of the Gaussians that `refcodec export` fits to this scene, in random orders. In the file",
-        f"of one copy, the bits of a Gaussian are {single}.",
+        "The others have copies of the Gaussians that `refcodec export` fits to this scene, in random orders. A file",
+        "of one copy, and the PSNR of its pictures relative to those of the Gaussians before quantisation:",
+        "",
+        *table(["file", "bytes", "bits of a Gaussian", "PSNR, dB"], single),
     ]
+
+
+def _single(title: str, size: int, count: int, psnr: float) -> list[str]:
+    return [title, f"{size:,}", f"{8 * size / count:.1f}", f"{psnr:.2f}"]
 
 
 def main() -> None:

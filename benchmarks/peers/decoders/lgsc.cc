@@ -1,10 +1,10 @@
-// L-GSC by Qualcomm's own library: lgsc_program SPLAT.ply FILE.lgsc writes a file at the highest compression level,
-// lgsc_program FILE.lgsc decodes it twice and prints the processor seconds of the second time.
+// L-GSC by Qualcomm's own library, which PROGRAM SPLAT.ply FILE.lgsc writes at the highest compression level, and
+// PROGRAM FILE.lgsc SPLAT.ply reads. PROGRAM FILE.lgsc is as in spz.cc.
 #include <cstdio>
 #include <ctime>
 #include <fstream>
 #include <iterator>
-#include <sstream>
+#include <string>
 #include <vector>
 
 #include "LGSCCommon.h"
@@ -18,16 +18,22 @@ static double processor() {
 }
 
 int main(int count, char **words) {
-  if (count == 3) {
+  const std::string first = words[1];
+  std::ifstream file(first, std::ios::binary);
+  if (first.substr(first.size() - 4) == ".ply") {
     GS gs;
     std::vector<char> data;
-    if (!readFile(words[1], gs)) return 1;
+    if (!readFile(first, gs)) return 1;
     compressFrame(gs, data, 2);
     std::ofstream(words[2], std::ios::binary).write(data.data(), data.size());
     return 0;
   }
-  std::ifstream file(words[1], std::ios::binary);
   std::vector<char> data{std::istreambuf_iterator<char>(file), {}};
+  if (count == 3) {
+    GS gs;
+    decompressFrame(data, gs);
+    return writeFile(words[2], gs) ? 0 : 1;
+  }
   double seconds = 0;
   int points = 0;
   for (int i = 0; i < 2; i++) {

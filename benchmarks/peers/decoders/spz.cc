@@ -1,9 +1,10 @@
-// SPZ by Niantic's own library: spz_program SPLAT.ply FILE.spz writes a file, spz_program FILE.spz decodes it twice and
-// prints the processor seconds of the second time.
+// SPZ by Niantic's own library, which PROGRAM SPLAT.ply FILE.spz writes, and PROGRAM FILE.spz SPLAT.ply reads.
+// PROGRAM FILE.spz decodes a file twice, and prints its Gaussians and the processor seconds of the second time.
 #include <cstdio>
 #include <ctime>
 #include <fstream>
 #include <iterator>
+#include <string>
 #include <vector>
 
 #include "load-spz.h"
@@ -15,20 +16,21 @@ static double processor() {
 }
 
 int main(int count, char **words) {
-  if (count == 3) {
-    spz::UnpackOptions read;
-    read.to = spz::CoordinateSystem::RUB;
-    spz::PackOptions write;
-    write.from = spz::CoordinateSystem::RUB;
-    return spz::saveSpz(spz::loadSplatFromPly(words[1], read), write, words[2]) ? 0 : 1;
-  }
-  std::ifstream file(words[1], std::ios::binary);
+  // Files have the axes of three.js. PLY files have others, which the library turns.
+  spz::UnpackOptions read;
+  spz::PackOptions write;
+  read.to = write.from = spz::CoordinateSystem::RUB;
+  const std::string first = words[1];
+  if (first.substr(first.size() - 4) == ".ply")
+    return spz::saveSpz(spz::loadSplatFromPly(first, read), write, words[2]) ? 0 : 1;
+  if (count == 3) return spz::saveSplatToPly(spz::loadSpz(first, read), write, words[2]) ? 0 : 1;
+  std::ifstream file(first, std::ios::binary);
   const std::vector<unsigned char> data{std::istreambuf_iterator<char>(file), {}};
   double seconds = 0;
   int points = 0;
   for (int i = 0; i < 2; i++) {
     const double before = processor();
-    points = spz::loadSpz(data, {}).numPoints;
+    points = spz::loadSpz(data, read).numPoints;
     seconds = processor() - before;
   }
   printf("%d %.6f\n", points, seconds);
