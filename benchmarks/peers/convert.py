@@ -12,7 +12,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 # In a folder that Git ignores. The version is fixed, because files differ between versions.
-FOLDER, VERSION = "build/splat-transform", "2.7.1"
+FOLDER, VERSION = "build/splat-transform", "3.7.0"
 # The scripts of its packages would install a GPU driver, which is not used.
 INSTALL = f"npm install --ignore-scripts --no-audit --prefix {FOLDER} @playcanvas/splat-transform@{VERSION}"
 FORMATS = ("spz", "sog")

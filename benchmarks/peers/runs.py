@@ -32,6 +32,8 @@ from .splats import quality, read_ply, write_ply
 from .trainer import SplatTrainer, view_settings
 
 METHODS = PLAIN, OWN = "3dgs", "c3gs"
+# The file of 3DGS itself, from which SPZ and SOG are made.
+UNCODED = "3DGS, PLY"
 # The least number of seconds between two lines of progress.
 LINE_SECONDS = 5.0
 
@@ -176,7 +178,7 @@ def _plain(run: Run, folder: Path) -> Record | None:
     if trainer is None:
         return None
     shown = _shown(ply, ply, photographs, settings)
-    record = run.record(trainer.seconds, settings, {"3DGS, PLY": shown}, gaussians=len(trainer.result()["mean"]))
+    record = run.record(trainer.seconds, settings, {UNCODED: shown}, gaussians=len(trainer.result()["mean"]))
     if tool() is None:
         print(f"splat-transform is missing, so there is no SPZ and no SOG: run `{INSTALL}`", file=sys.stderr)
         return record

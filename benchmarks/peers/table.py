@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -27,22 +28,32 @@ def with_seeds(scenes: Sequence[Scene], least: int) -> list[Scene]:
     return [scene for scene in found if scene.curves]
 
 
+def without(scenes: Sequence[Scene], kind: str) -> list[Scene]:
+    """Returns the scenes without the methods that write a kind of file."""
+    return [
+        Scene(scene.name, scene.size, {k: curve for k, curve in scene.curves.items() if not k.startswith(f"{kind},")})
+        for scene in scenes
+    ]
+
+
 def commands(records: Iterable[Record], least: int) -> list[str]:
-    """Returns the commands of a folder's runs, for methods with at least a number of seeds."""
+    """Returns the commands of a folder's runs, for methods with at least a number of seeds.
+
+    Scenes with the same runs have one command, in which | separates them.
+    """
     groups: dict[Any, tuple[set[float], set[int]]] = {}
     for record in records:
         key = (record["scene"], record["method"], record["size"], record["steps"], tuple(record["changes"]))
         strengths, seeds = groups.setdefault(key, (set(), set()))
         strengths.add(record["strength"])
         seeds.add(record["seed"])
-    found = []
+    found: dict[str, list[str]] = defaultdict(list)
     for (scene, method, size, steps, changes), (strengths, seeds) in sorted(groups.items()):
-        words = ["python -m benchmarks.peers run", scene, "FOLDER", "--method", method]
-        words += ["--strengths", *(f"{strength:g}" for strength in sorted(strengths))]
+        words = ["FOLDER", "--method", method, "--strengths", *(f"{strength:g}" for strength in sorted(strengths))]
         words += ["--seeds", *map(str, sorted(seeds)), "--size", str(size), "--steps", str(steps)]
         if len(seeds) >= least:
-            found.append(" ".join([*words, *(word for change in changes for word in ("--set", change))]))
-    return found
+            found[" ".join([*words, *(word for change in changes for word in ("--set", change))])].append(scene)
+    return [f"python -m benchmarks.peers run {'|'.join(scenes)} {words}" for words, scenes in found.items()]
 
 
 def report(scenes: Sequence[Scene], baseline: str) -> list[str]:
@@ -62,11 +73,13 @@ def _scene(scene: Scene, baseline: str) -> Iterator[str]:
     if baseline not in scene.curves:
         return
     against = scene.curves[baseline]
-    rates = [[label, _signed(bd_rate(against, curve))] for label, curve in scene.curves.items() if label != baseline]
-    yield from table(["method", f"BD-rate against {baseline}"], rates)
-    yield ""
-    others = [label for label in scene.curves if label != baseline]
-    rows = [_equal(point, [scene.curves[label] for label in others]) for point in against]
+    # A single point has no curve to read from.
+    others = {label: curve for label, curve in scene.curves.items() if label != baseline and len(curve) > 1}
+    if not others:
+        return
+    rows = [_equal(point, list(others.values())) for point in against]
+    if len(against) > 1:
+        rows.append(["BD-rate", "", *(_signed(bd_rate(against, curve)) for curve in others.values())])
     yield f"KB of each method at the PSNR of {baseline}, and how many times as large {baseline} is:"
     yield ""
     yield from table(["PSNR, dB", baseline, *others], rows)

@@ -42,56 +42,55 @@ def _demo(arguments: argparse.Namespace) -> int:
 
 def _rd(arguments: argparse.Namespace) -> int:
     try:
+        from ..experiments.command import Options
         from ..experiments.data_set import DataSet
-        from ..experiments.figures import FIGURES
-        from ..experiments.rd import Settings, run_rd
+        from ..experiments.plan import OWN_KEYS, ExperimentError
+        from ..experiments.rd import one_scene, run_rd, scene_name
         from ..experiments.runs import RunError
         from ..photographs.photographs import PhotographError
         from ..train.settings import PRESETS
     except ModuleNotFoundError as error:
-        raise needs("rd", "train,render,rd", error, ("matplotlib", "bjontegaard", "torch", *RENDER_PACKAGES)) from None
-    options = [
-        ("--steps", arguments.steps),
-        ("--preset", arguments.preset),
-        ("--device", arguments.device),
-        ("--seed", arguments.seed),
-    ]
-    given = tuple(word for name, value in options if value is not None for word in (name, str(value)))
-    given += train_options.words(arguments)
+        packages = ("matplotlib", "bjontegaard", "msgspec", "torch", *RENDER_PACKAGES)
+        raise needs("rd", "train,render,rd", error, packages) from None
     train_options.refuse_rate(arguments, "use --rates")
-    chosen = train_options.settings(arguments, PRESETS[arguments.preset], {"size": arguments.size})
-    photographs = DataSet(Path(arguments.photographs), chosen.size, chosen.background, chosen.holdout, given)
-    settings = Settings(Path(arguments.output), photographs, arguments.jobs)
-    rates = sorted({*arguments.rates, *([0.0] if arguments.uncompressed else [])})
+    own = {"size": arguments.size, "steps": arguments.steps, "seed": arguments.seed}
+    chosen = train_options.settings(arguments, PRESETS[arguments.preset], own)
+    folder = Path(arguments.photographs)
+    scene = {
+        "name": scene_name(folder),
+        "photographs": str(folder.absolute()),
+        "size": chosen.size,
+        "background": None if chosen.background == "auto" else chosen.background,
+        "holdout": chosen.holdout,
+        "up": arguments.up,
+        "voxel": arguments.voxel,
+        "anchors": arguments.anchors,
+        "set": [change for change in arguments.set if change.partition("=")[0].strip() not in OWN_KEYS],
+    }
+    others = {"seeds": [chosen.seed], "steps": chosen.steps, "device": arguments.device}
+    against = Path(arguments.against) if arguments.against else None
     try:
-        rows, difference = run_rd(settings, rates, Path(arguments.against) if arguments.against else None)
-    except PhotographError as error:
+        # Errors in the photographs are reported before anything is written.
+        places = DataSet(folder, chosen.size, chosen.background, chosen.holdout).read().places()
+        rates = sorted(set(arguments.rates))
+        experiment = one_scene(scene, arguments.preset, rates, arguments.uncompressed, **others)
+        return run_rd(experiment, places, Options(Path(arguments.output), jobs=arguments.jobs), against)
+    except (ExperimentError, PhotographError) as error:
         raise UsageError(str(error)) from None
     except RunError as error:
-        for line in f"refcodec: {error}".splitlines():
-            note(line)
+        note(f"refcodec: {error}")
         return error.status
-    print(f"{'rate':>8} {'bytes':>10} {'anchors':>8}" + "".join(f" {name:>10}" for name in FIGURES))
-    for row in rows:
-        figures = "".join(f" {row[name]:>10.4f}" for name in FIGURES)
-        print(f"{row['rate']:>8g} {row['bytes']:>10.0f} {row['anchors']:>8.0f}{figures}")
-    if difference:
-        say(f"BD-rate {difference.rate:+.2f} %, BD-PSNR {difference.psnr:+.3f} dB against {arguments.against}")
-        if difference.warning:
-            note(f"refcodec: {difference.warning}")
-    return 0
 
 
 def _experiment(arguments: argparse.Namespace) -> int:
     try:
         from ..experiments.command import Options, run_experiment
-        from ..experiments.plan import ExperimentError
+        from ..experiments.plan import ExperimentError, read_experiment
         from ..experiments.runs import RunError
     except ModuleNotFoundError as error:
         packages = ("matplotlib", "bjontegaard", "msgspec", "torch", *RENDER_PACKAGES)
         raise needs("experiment", "train,render,rd", error, packages) from None
     options = Options(
-        file=Path(arguments.file),
         folder=Path(arguments.output),
         engine=arguments.engine,
         jobs=arguments.jobs,
@@ -100,7 +99,7 @@ def _experiment(arguments: argparse.Namespace) -> int:
         tables=arguments.tables,
     )
     try:
-        return run_experiment(options)
+        return run_experiment(read_experiment(Path(arguments.file)), options)
     except ExperimentError as error:
         raise UsageError(str(error)) from None
     except RunError as error:
@@ -120,7 +119,7 @@ FILE is a TOML file with these keys:
 It has a table [[scenes]] for each scene:
   name                  1 to 64 letters, digits and . _ + -
   photographs           a folder, relative to FILE; ${NAME} is an environment variable
-  size, background, holdout, voxel, anchors
+  size, background, holdout, up, voxel, anchors
                         as for train (default: the preset's)
   rates                 the rates of this scene
   set                   a list of NAME=VALUE, as for train --set
@@ -193,11 +192,13 @@ def _add_rd(commands: Any) -> None:
         [
             "rd photographs -o curve --size 400x300",
             "rd photographs -o curve --rates 0.002 0.004 0.01 0.04 --uncompressed",
-            "rd photographs -o curve --against other/rd.csv",
+            "rd photographs -o curve --against other/results.csv",
             "rd photographs -o curve --anchors 20000 --holdout 5 --set masks.epsilon=0.0004",
         ],
-        "DIR gets rd.csv, rd.png, and for each rate a scene folder, a file and its figures. The same command\n"
-        "continues after an interruption, and repeats nothing. Options of train apply to all training runs.\n"
+        "It runs an experiment of one scene, and writes its file, DIR/experiment.toml. DIR gets results.csv,\n"
+        "tables.md and curves/, and below cells/ a scene folder and a file for each rate, as with `experiment`.\n"
+        "The same command continues after an interruption, and repeats nothing. Options of train apply to all\n"
+        "training runs.\n"
         "Needs: pip install 'refcodec[train,render,rd]'.",
         parents=[train_options.parser()],
     )

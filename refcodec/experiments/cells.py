@@ -71,6 +71,7 @@ class Cell:
         words += ["--steps", str(self.steps)] if self.steps else []
         words += ["--static"] if self.method.static else []
         words += ["--device", self.device] if self.device != "cpu" else []
+        words += [f"--up={self.scene.up}"] if self.scene.up else []
         words += [word for change in (*self.scene.changes, *self.method.changes) for word in ("--set", change)]
         train = Command(
             self.name,

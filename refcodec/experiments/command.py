@@ -16,7 +16,7 @@ from .curves import write_curves
 from .engines import Engine, Local
 from .experiment import COPY, Folder, State, Watch, look, named, run, tasks
 from .on_ray import OnRay
-from .plan import Experiment, ExperimentError, read_experiment
+from .plan import Experiment, ExperimentError
 from .tables import CSV, MARKDOWN, as_csv, as_markdown, row
 
 CURVES = "curves"
@@ -30,22 +30,20 @@ class Options:
     patterns of the cells to run, none for all. tables: whether nothing is run.
     """
 
-    file: Path
     folder: Path
-    engine: str
-    jobs: int | None
-    threads: int | None
-    only: tuple[str, ...]
-    tables: bool
+    engine: str = "local"
+    jobs: int | None = None
+    threads: int | None = None
+    only: tuple[str, ...] = ()
+    tables: bool = False
 
 
-def run_experiment(options: Options) -> int:
+def run_experiment(experiment: Experiment, options: Options) -> int:
     """Returns the exit status.
 
     Raises ExperimentError for a fault that is found before anything runs, RunError for an engine that cannot run,
     and OSError.
     """
-    experiment = read_experiment(options.file)
     chosen = list(cells(experiment, options.only))
     if not chosen:
         raise ExperimentError(
@@ -57,7 +55,7 @@ def run_experiment(options: Options) -> int:
         return statuses.DONE
     with hold_folder(folder.path):
         state = look(experiment, folder, chosen, need=True)
-        write_file(folder.path / COPY, options.file.read_bytes())
+        write_file(folder.path / COPY, experiment.text)
         threads, engine = _engine(options, folder)
         waiting = tasks(experiment, folder, state, threads)
         note(f"{len(state.results)} of {len(chosen)} cells are done before")

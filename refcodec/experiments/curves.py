@@ -2,26 +2,27 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Sequence
 from pathlib import Path
 
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
+from ..files.stage import write_file
 from .tables import Row, grouped, spread
 
 
 def write_curves(folder: Path, rows: Sequence[Row]) -> None:
     """Writes SCENE.png and SCENE.svg for each scene. Points are means over seeds, bars sample deviations."""
-    folder.mkdir(exist_ok=True)
     # The same rows give the same SVG.
     with mpl.rc_context({"svg.hashsalt": "C3GS"}):
         for (scene,), of_scene in grouped(rows, "scene").items():
             figure = draw(scene, of_scene)
             for suffix, notes in (("png", {}), ("svg", {"Date": None})):
-                temporary = folder / f".{scene}.part"
-                figure.savefig(temporary, dpi=150, format=suffix, metadata=notes)
-                temporary.replace(folder / f"{scene}.{suffix}")
+                data = io.BytesIO()
+                figure.savefig(data, dpi=150, format=suffix, metadata=notes)
+                write_file(folder / f"{scene}.{suffix}", data.getvalue())
 
 
 def draw(scene: str, rows: Sequence[Row]) -> Figure:

@@ -7,7 +7,7 @@ import os
 import re
 import reprlib
 import tomllib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -24,7 +24,7 @@ SIZE_MAX, LIST_MAX, CELLS_MAX = 1 << 20, 1000, 100_000
 SEED_MAX = (1 << 63) - 1
 _VARIABLE = re.compile(r"\$\{([^}]*)\}")
 # Settings with their own key, which must be used instead.
-_OWN_KEYS = {
+OWN_KEYS = {
     "rate.weight": "rates",
     "steps": "steps",
     "size": "the scene's size",
@@ -44,6 +44,7 @@ _ALLOWED = {
     "size": "WIDTHxHEIGHT or the longest side",
     "background": "white, black or R,G,B",
     "holdout": "a whole number of 0 or more",
+    "up": "+x, -x, +y, -y, +z or -z",
     "voxel": "a number above 0",
     "anchors": "a whole number of 1 or more",
     "rates": _RATES,
@@ -91,15 +92,15 @@ def _settable(changes: tuple[str, ...]) -> None:
     _distinct("set", changes)
     for change in changes:
         name = change.partition("=")[0].strip()
-        if name in _OWN_KEYS:
-            raise ValueError(f"use {_OWN_KEYS[name]} instead of {name} in set")
+        if name in OWN_KEYS:
+            raise ValueError(f"use {OWN_KEYS[name]} instead of {name} in set")
 
 
 class Scene(Struct, forbid_unknown_fields=True, kw_only=True):
     """Photographs to learn from: a table [[scenes]].
 
     photographs: the folder as the file states it. A path that is not absolute begins at the file's folder, and ${NAME}
-    stands for a variable of the environment. size, background, holdout: of `train`, None for the preset's. voxel,
+    stands for a variable of the environment. size, background, holdout, up: of `train`, None for its default. voxel,
     anchors: of the first anchors. rates: lambda_r of this scene, empty for those of all scenes. assignments: NAME=VALUE
     for `train --set`, the key `set`. group: the data set that it belongs to, its own name if the file has none.
     """
@@ -109,6 +110,7 @@ class Scene(Struct, forbid_unknown_fields=True, kw_only=True):
     size: str | int | None = None
     background: str | None = None
     holdout: Whole | None = None
+    up: Literal["+x", "-x", "+y", "-y", "+z", "-z"] | None = None
     voxel: Annotated[float, Meta(gt=0)] | None = None
     anchors: Positive | None = None
     rates: Rates = ()
@@ -196,7 +198,10 @@ class _File(Struct, forbid_unknown_fields=True, kw_only=True):
 
 @dataclass(frozen=True)
 class Experiment:
-    """An experiment's file. steps: None for the preset's. baseline: a method, or None for no BD-rates."""
+    """An experiment's file. steps: None for the preset's. baseline: a method, or None for no BD-rates.
+
+    text: the content of the file.
+    """
 
     path: Path
     scenes: tuple[Scene, ...]
@@ -206,6 +211,7 @@ class Experiment:
     steps: int | None
     device: str
     baseline: str | None
+    text: bytes = b""
 
     def settings(self, scene: Scene, method: Method, rate: float, seed: int) -> TrainSettings:
         """All settings of one training run, as its command has them. Raises ExperimentError."""
@@ -252,7 +258,11 @@ class Experiment:
 def read_experiment(path: Path) -> Experiment:
     """The experiment of a file. Raises ExperimentError, whose text begins with the path, and OSError."""
     with path.open("rb") as file:
-        data = file.read(SIZE_MAX + 1)
+        return parse_experiment(path, file.read(SIZE_MAX + 1))
+
+
+def parse_experiment(path: Path, data: bytes) -> Experiment:
+    """The experiment of a file's content. path: its place and name. Raises ExperimentError, as read_experiment."""
     try:
         if len(data) > SIZE_MAX:
             raise ExperimentError(f"it has more than {SIZE_MAX} bytes")
@@ -261,7 +271,7 @@ def read_experiment(path: Path) -> Experiment:
         # tomllib calls itself for each level of lists, and int() has bounds of its own.
         except (ValueError, RecursionError) as error:
             raise ExperimentError(f"it is not TOML: {error}") from None
-        return _experiment(path, document)
+        return replace(_experiment(path, document), text=data)
     except ExperimentError as error:
         raise ExperimentError(printable(f"{path}: {error}", 400)) from None
 

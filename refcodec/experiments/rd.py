@@ -1,120 +1,87 @@
-"""Rate and distortion: training runs at several rates, their figures as a table and a chart, and curve differences."""
+"""Rate and distortion of one scene: its experiment, and the difference of its curve from another one."""
 
 from __future__ import annotations
 
 import csv
-import io
+import json
 import math
-import os
+import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from matplotlib.figure import Figure
-
-from ..files.lock import hold_folder
+from .. import statuses
 from ..files.outputs import check_apart
-from ..files.stage import write_file
-from ..folder.layout import REPORT_FILE
-from .data_set import DataSet
-from .figures import BD_POINTS, FIGURES, PARTS, Difference, Row, compare, figures_of
-from .runs import Command, Notes, RunError, Runner, is_evaluation, read_result, shown
+from ..files.terminal import note, say
+from .command import CURVES, Options, run_experiment
+from .curves import write_curves
+from .experiment import COPY, MARK
+from .figures import BD_POINTS, compare
+from .plan import Experiment, parse_experiment
+from .runs import RunError
+from .tables import CSV, MARKDOWN, Row
 
-FORMAT, NOTES, TABLE, CHART = "C3GS rate and distortion", "rd.json", "rd.csv", "rd.png"
-COLUMNS = ("rate", "bytes", *PARTS, "headers", "bits_per_anchor", "anchors", *FIGURES, "seconds")
+CODED, UNCOMPRESSED = "coded", "uncompressed"
 
 
-@dataclass(frozen=True)
-class Settings:
-    """The settings of all training runs.
+def scene_name(photographs: Path) -> str:
+    """The name of a scene: that of its folder, with - for all characters that a name cannot have."""
+    return re.sub(r"[^A-Za-z0-9._+-]", "-", photographs.resolve().name).strip("._+-")[:64] or "scene"
 
-    folder: of the results. jobs: training runs at a time.
+
+def one_scene(
+    scene: Mapping[str, Any], preset: str, rates: Sequence[float], uncompressed: bool, **others: Any
+) -> Experiment:
+    """The experiment of one scene at some rates. Raises ExperimentError.
+
+    scene, others: keys of the table [[scenes]] and of the file; values that are None or empty are left out.
     """
-
-    folder: Path
-    photographs: DataSet
-    jobs: int
-
-    def chain(self, rate: float) -> list[Command]:
-        """The commands of one rate, 0 for an uncompressed scene."""
-        name = f"rate-{rate:g}"
-        scene, file = self.folder / name, self.folder / f"{name}.c3gs"
-        threads = max(1, (os.cpu_count() or 1) // self.jobs)
-        source = str(self.photographs.folder)
-        settings = ("--rate", f"{rate:g}", *self.photographs.trained, "--threads", str(threads), "--progress")
-        train, encode = f"{name} train", f"{name} encode"
-        state = self.folder / f"{name}.train-state"
-        commands = [Command(name, ("train", source, "-o", str(scene), *settings), scene / REPORT_FILE, state=state)]
-        if rate:
-            commands.append(Command(name, ("encode", str(scene), "-o", str(file)), file, (train,)))
-        what = ("eval", str(file if rate else scene), source, *self.photographs.evaluated, "--json")
-        after = encode if rate else train
-        return [*commands, Command(name, what, self.folder / f"{name}.json", (after,), printed=True)]
+    methods = [{"name": CODED, "preset": preset}]
+    methods += [{"name": UNCOMPRESSED, "kind": "uncompressed", "preset": preset}] if uncompressed else []
+    lines = [*_toml({"rates": rates, **others}), "", "[[scenes]]", *_toml(scene)]
+    for method in methods:
+        lines += ["", "[[methods]]", *_toml(method)]
+    return parse_experiment(Path(f"{scene['name']}.toml"), ("\n".join(lines) + "\n").encode())
 
 
-def run_rd(
-    settings: Settings, rates: Sequence[float], against: Path | None = None
-) -> tuple[list[Row], Difference | None]:
-    """Trains, encodes and evaluates at each rate, and writes the table and the chart.
+def _toml(table: Mapping[str, Any]) -> list[str]:
+    """The lines of a table with texts, numbers and lists. Those of JSON are valid in TOML."""
+    return [f"{key} = {json.dumps(value)}" for key, value in table.items() if value not in (None, [])]
 
-    Finished commands in this folder with the same settings are not repeated. Returns the table, and the difference
-    of its curve from that of the table `against`. Raises RunError, also after Ctrl-C; PhotographError; UsageError if an
-    output is an input, or another run writes to the folder.
+
+def run_rd(experiment: Experiment, inputs: Sequence[Path], options: Options, against: Path | None) -> int:
+    """Runs an experiment of one scene, and prints its table. Returns the exit status.
+
+    inputs: the files of the photographs. against: a table whose curve is compared with it. Raises RunError for a curve
+    that cannot be compared, UsageError if an output is an input, and as run_experiment.
     """
     other = read_curve(against) if against else None
-    coded = sum(rate > 0 for rate in rates)
-    if other is not None and min(coded, len(other)) < BD_POINTS:
+    if other is not None and min(len(experiment.rates), len(other)) < BD_POINTS:
         raise RunError(
-            f"BD-rate needs {BD_POINTS} rates above 0 or more in both curves: {coded} here, {len(other)} in {against}"
+            f"BD-rate needs {BD_POINTS} rates above 0 or more in both curves: {len(experiment.rates)} here, "
+            f"{len(other)} in {against}"
         )
-    found = settings.photographs.read()
-    folder = settings.folder
-    check_apart([folder / name for name in (NOTES, TABLE, CHART)], [against, *found.places()])
-    with hold_folder(folder):
-        return _run(settings, rates, against, other)
+    folder = options.folder
+    outputs = [folder / name for name in (MARK, COPY, CSV, MARKDOWN)]
+    check_apart(outputs, [against, *inputs])
+    status = run_experiment(experiment, options)
+    say((folder / MARKDOWN).read_text(encoding="utf-8"), lines=True)
+    if status == statuses.DONE and other is not None:
+        rows = _rows(folder / CSV, other, str(against))
+        write_curves(folder / CURVES, rows)
+        found = compare(other, [row for row in rows if row["method"] == CODED])
+        say(f"BD-rate {found.rate:+.2f} %, BD-PSNR {found.psnr:+.3f} dB against {against}")
+        if found.warning:
+            note(f"refcodec: {found.warning}")
+    return status
 
 
-def _run(
-    settings: Settings, rates: Sequence[float], against: Path | None, other: list[Row] | None
-) -> tuple[list[Row], Difference | None]:
-    notes = Notes.open(settings.folder, NOTES, FORMAT)
-    chains = [settings.chain(rate) for rate in rates]
-    with shown([chain[0].subject for chain in chains]) as show:
-        whole = Runner(notes, show, settings.jobs).run(chains)
-    rows = [_row(settings, rate, notes) for rate, chain in zip(rates, chains, strict=True) if notes.is_done(chain[-1])]
-    if rows:
-        write_table(settings.folder / TABLE, rows)
-        write_chart(settings.folder / CHART, {settings.folder.name: rows} | ({str(against): other} if other else {}))
-    if not whole:
-        raise RunError(
-            f"stopped with {len(rows)} of {len(rates)} rates done; run the same command again to continue", 130
-        )
-    return rows, compare(other, rows) if other else None
-
-
-def _row(settings: Settings, rate: float, notes: Notes) -> Row:
-    name = f"rate-{rate:g}"
-    found = read_result(settings.folder / f"{name}.json", is_evaluation)
-    return {
-        "rate": rate,
-        **figures_of(found),
-        "seconds": notes.seconds(f"{name} train"),
-    }
-
-
-def write_table(path: Path, rows: Sequence[Row]) -> None:
-    """Rows with COLUMNS as CSV.
-
-    They are bytes of the file and its parts (float32 at rate 0), bits per anchor, means of the figures over the
-    held-out images, and seconds of training.
-    """
-    text = io.StringIO(newline="")
-    writer = csv.DictWriter(text, COLUMNS)
-    writer.writeheader()
-    writer.writerows(
-        {name: f"{value:.6g}" if isinstance(value, float) else value for name, value in row.items()} for row in rows
-    )
-    write_file(path, text.getvalue().encode())
+def _rows(path: Path, other: Sequence[Row], name: str) -> list[Row]:
+    """The rows of a table for a chart, and after them those of another curve. name: of its line."""
+    with path.open(newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    own: list[Row] = [{**row, **{key: float(row[key]) for key in ("rate", "bytes", "psnr")}} for row in rows]
+    return own + [{"scene": own[0]["scene"], "method": name, "rate": i + 1.0, **row} for i, row in enumerate(other)]
 
 
 def read_curve(path: Path) -> list[Row]:
@@ -139,23 +106,3 @@ def read_curve(path: Path) -> list[Row]:
     ):
         raise RunError(f"{path} has sizes or PSNRs that no file has")
     return points
-
-
-def write_chart(path: Path, curves: Mapping[str, Sequence[Row]]) -> None:
-    """PSNR against MB (10^6 bytes), with a line for each curve and its uncompressed point as a ring."""
-    figure = Figure(figsize=(6.4, 4.4), layout="constrained")
-    axes = figure.subplots()
-    for name, rows in curves.items():
-        coded = sorted((row["bytes"] / 1e6, row["psnr"]) for row in rows if row.get("rate", 1) > 0)
-        (line,) = axes.plot([b for b, _ in coded], [p for _, p in coded], "o-", label=name)
-        whole = [(row["bytes"] / 1e6, row["psnr"]) for row in rows if row.get("rate", 1) == 0]
-        for size, psnr in whole:
-            axes.plot(size, psnr, "o", mfc="none", color=line.get_color(), label=f"{name}, uncompressed")
-    axes.set(xscale="log", xlabel="MB", ylabel="PSNR, dB")
-    axes.xaxis.set_major_formatter("{x:.4g}")
-    axes.xaxis.set_minor_formatter("{x:.4g}")
-    axes.grid(which="both", alpha=0.3)
-    axes.legend()
-    data = io.BytesIO()
-    figure.savefig(data, format="png", dpi=150)
-    write_file(path, data.getvalue())

@@ -40,7 +40,7 @@ from faults import Faults  # noqa: E402
 TOGETHER = {"scene.json", "point_cloud.ply", "networks.safetensors", "planes.safetensors", "coded.safetensors"}
 TOGETHER |= {"render.json", "checkpoints.pth"}
 # Lines on stderr beside the one about the end of a command.
-NOTES = re.compile(r"train: |photographs are scaled to size|refcodec: the views are|.*: done before")
+NOTES = re.compile(r"train: |photographs are scaled to size|refcodec: the views are|.*: done before|.* are done before$")
 
 
 def fault_of(point: str) -> OSError:
@@ -119,7 +119,7 @@ CASES = [
         needs="torch " + DRAW,
         slow=True,
     ),
-    # All of its commands are done: it writes the table and the chart.
+    # All of its cells are done: it writes the table and the chart.
     Case(f"rd photos -o curve --rates 0.01 {SMALL}", needs="torch matplotlib bjontegaard", slow=True),
     Case(
         f"run --vectors suite --jobs 1 --report report -- {sys.executable} {DECODER}",
@@ -186,18 +186,23 @@ def more_inputs(case: Case) -> None:
         writers: Any = import_module("writers")
         writers.write_plain(writers.made(200, 1), Path("a.ply"))
     if case.words.startswith("rd"):
-        from refcodec.experiments import rd, runs  # noqa: PLC0415
-        from refcodec.experiments.data_set import DataSet  # noqa: PLC0415
+        finished_curve(Path("curve"))
 
-        photos = DataSet(Path("photos"), "16", "auto", 8, ("--preset", "fast"))
-        settings = rd.Settings(Path("curve"), photos, 2)
-        notes = runs.Notes.open(settings.folder, rd.NOTES, rd.FORMAT)
-        figures = {"bytes": 100, "parts": {}, "anchors": 5, "mean": dict.fromkeys(rd.FIGURES, 20.0), "images": []}
-        for made in settings.chain(0.01):
-            made.output.parent.mkdir(exist_ok=True)
-            made.output.write_text(json.dumps(figures))
-            notes.begin(made)
-            notes.end(made, 1.0, True)
+
+def finished_curve(folder: Path) -> None:
+    """Makes the result of the only cell of an experiment."""
+    from refcodec.experiments import cells, experiment, identity, rd  # noqa: PLC0415
+
+    scene = {"name": "photos", "photographs": "photos", "size": "16", "holdout": 8}
+    plan = rd.one_scene(scene, "fast", [0.01], uncompressed=False, seeds=[0], steps=4000)
+    (cell,) = cells.cells(plan)
+    experiment.Folder(folder)
+    definition = cell.definition(identity.Identities(folder / experiment.PHOTOGRAPHS).digest(Path("photos")))
+    figures = {"bytes": 100, "parts": {}, "anchors": 5, "mean": dict.fromkeys(cells.FIGURES, 20.0)}
+    seconds = {name: {"train": 1.0} for name in ("seconds", "processor_seconds")}
+    head = {"format": cells.FORMAT, "hash": cells.hash_of(definition), "definition": definition, "sha256": None}
+    cell.folder(folder).mkdir(parents=True)
+    (cell.folder(folder) / cells.RESULT).write_text(json.dumps({**head, **figures, **seconds}))
 
 
 def shorten(case: Case, patch: pytest.MonkeyPatch) -> None:

@@ -34,6 +34,7 @@ def train(argv: list[str]) -> int:
     for name in ("--threads", "--seed", "--preset", "--device", "--background", "--holdout", "--anchors", "--voxel"):
         parser.add_argument(name)
     parser.add_argument("--set", action="append")
+    parser.add_argument("--up")
     parser.add_argument("--resume", action="store_true")
     parser.add_argument("--progress", action="store_true")
     arguments = parser.parse_args(argv)

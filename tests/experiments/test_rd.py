@@ -5,8 +5,6 @@ from __future__ import annotations
 import csv
 import json
 import math
-import signal
-import subprocess
 import sys
 from pathlib import Path
 
@@ -15,12 +13,11 @@ import pytest
 for package in ("numba", "PIL", "skimage", "scipy", "matplotlib", "bjontegaard", "torch"):
     pytest.importorskip(package, reason="curves need the packages of the extras train, render and rd")
 
-from PIL import Image  # noqa: E402
-
 from refcodec.cli.main import main  # noqa: E402
 from refcodec.experiments import runs  # noqa: E402
 from refcodec.experiments.figures import compare  # noqa: E402
-from refcodec.experiments.rd import COLUMNS, read_curve  # noqa: E402
+from refcodec.experiments.plan import read_experiment  # noqa: E402
+from refcodec.experiments.rd import read_curve, scene_name  # noqa: E402
 from refcodec.experiments.runs import RunError  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -88,8 +85,12 @@ def fake(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def rows(folder: Path) -> list[dict[str, str]]:
-    with (folder / "rd.csv").open(newline="") as file:
+    with (folder / "results.csv").open(newline="") as file:
         return list(csv.DictReader(file))
+
+
+def cell(folder: Path, rate: str, method: str = "coded") -> Path:
+    return folder / "cells" / "caliterra" / method / f"rate-{rate}" / "seed-0"
 
 
 @pytest.mark.slow
@@ -98,41 +99,43 @@ def test_rd(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "curve"
     command = ["rd", PHOTOGRAPHS, "-o", str(out), "--steps", "2", "--size", "40", "--rates"]
     assert main([*command, "0.04", "--uncompressed"]) == 0
-    assert "done before" not in capsys.readouterr().err
-    table = rows(out)
-    assert tuple(table[0]) == COLUMNS
-    assert [row["rate"] for row in table] == ["0", "0.04"]
-    for row in table[1:]:
-        assert int(row["bytes"]) == (out / f"rate-{row['rate']}.c3gs").stat().st_size
-        assert float(row["bits_per_anchor"]) == pytest.approx(8 * int(row["bytes"]) / int(row["anchors"]), rel=1e-5)
-    for row in table:
-        assert sum(int(row[part]) for part in COLUMNS[2:8]) == int(row["bytes"])
-    assert Image.open(out / "rd.png").size == (960, 660)
-    # Rates more: the others are not trained again.
+    assert "| coded | 0.04 | 1 |" in capsys.readouterr().out
+    assert [row["rate"] for row in rows(out)] == ["0.04", "0"]
+    assert int(rows(out)[0]["bytes"]) == (cell(out, "0.04") / "work" / "scene.c3gs").stat().st_size
+    assert (cell(out, "0", "uncompressed") / "work" / "scene").is_dir()
+    # More rates: the others are not trained again.
     assert main([*command, "0.04", "0.01", "0.004", "0.002", "--uncompressed"]) == 0
-    assert capsys.readouterr().err.count("train: done before") == 2
+    assert "2 of 5 cells are done before" in capsys.readouterr().err
     other = tmp_path / "other.csv"
-    other.write_text("bytes,psnr\n" + "".join(f"{int(row['bytes']) * 1.25},{row['psnr']}\n" for row in rows(out)[1:]))
+    other.write_text("bytes,psnr\n" + "".join(f"{int(row['bytes']) * 1.25},{row['psnr']}\n" for row in rows(out)[:4]))
+    before = (out / "curves" / "caliterra.svg").read_text()
     assert main([*command, "0.04", "0.01", "0.004", "0.002", "--against", str(other)]) == 0
     assert "BD-rate -20.00 %" in capsys.readouterr().out
-    # Before any training: too few rates.
+    assert str(other) in (out / "curves" / "caliterra.svg").read_text()
+    assert str(other) not in before
+    # Before any training: too few rates, and a reference that would be overwritten.
     assert main([*command, "0.04", "0.03", "--against", str(other)]) == 64
     assert "needs 4 rates" in capsys.readouterr().err
-    assert not (out / "rate-0.03").exists()
+    assert not cell(out, "0.03").exists()
+    assert main([*command, "0.04", "0.01", "0.004", "0.002", "--against", str(out / "results.csv")]) == 64
 
 
 @pytest.mark.usefixtures("fake")
 def test_options_of_train_are_passed_on(tmp_path: Path) -> None:
-    """The training runs get them unchanged. The held-out photographs are compared."""
+    """They are in the experiment's file and in the commands of its cells. The held-out photographs are compared."""
     out = tmp_path / "curve"
-    given = "--background 9,20,30 --holdout 30 --anchors 700 --set masks.epsilon=0.02 --set size=40"
+    given = "--background 9,20,30 --holdout 30 --anchors 700 --up=-z --set masks.epsilon=0.02 --set size=40"
     command = ["rd", PHOTOGRAPHS, "-o", str(out), "--steps", "2", "--rates", "0.04", *given.split()]
     assert main(command) == 0
-    notes = json.loads((out / "rd.json").read_text())["commands"]
-    train, evaluated = (notes[f"rate-0.04 {name}"]["arguments"] for name in ("train", "eval"))
-    assert " ".join(train).endswith(f"{given} --size 40 --threads {train[-2]} --progress")
+    (scene,) = read_experiment(out / "experiment.toml").scenes
+    assert (scene.photographs, scene.size, scene.background, scene.holdout) == (PHOTOGRAPHS, "40", "9,20,30", 30)
+    assert (scene.anchors, scene.up, scene.assignments) == (700, "-z", ("masks.epsilon=0.02",))
+    result = json.loads((cell(out, "0.04") / "result.json").read_text())
+    train, _, evaluated = result["definition"]["commands"]
+    words = "--rate 0.04 --seed 0 --size 40 --holdout 30 --background 9,20,30 --steps 2 --up=-z"
+    assert " ".join(train).endswith(f"{words} --set start.anchors=700 --set masks.epsilon=0.02")
     assert evaluated[-5:] == ["--size", "40", "--holdout", "30", "--json"]
-    assert len(json.loads((out / "rate-0.04.json").read_text())["images"]) == 3
+    assert len(result["images"]) == 3
     # As train refuses them, before any training.
     for wrong in ("--holdout -1", "--voxel 0", "--voxel 1 --anchors 9", "--set masks.epsilom=1", "--background grey"):
         assert main([*command[:2], "-o", str(tmp_path / "none"), *wrong.split()]) == 64
@@ -140,35 +143,13 @@ def test_options_of_train_are_passed_on(tmp_path: Path) -> None:
     assert not (tmp_path / "none").exists()
 
 
-@pytest.mark.slow
-@pytest.mark.usefixtures("fake")
-def test_interrupted(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    out = tmp_path / "curve"
-    arguments = ["rd", PHOTOGRAPHS, "-o", str(out), "--steps", "400", "--size", "40", "--rates", "0.01", "--jobs", "1"]
-    program = f"import sys; from refcodec.experiments import runs; runs.PROGRAM = {FAKE!r}\n"
-    program += f"from refcodec.cli.main import main; sys.exit(main({arguments!r}))"
-    monkeypatch.setenv("FAKE_STEP", "20")
-    with subprocess.Popen([sys.executable, "-c", program], stderr=subprocess.PIPE, text=True) as process:
-        assert process.stderr is not None
-        process.stderr.readline()
-        process.send_signal(signal.SIGINT)
-        _, printed = process.communicate(timeout=60)
-    assert process.returncode == 130
-    assert "0 of 1 rates done" in printed
-    monkeypatch.setenv("FAKE_STEP", "0")
-    state = out / "rate-0.01.train-state"
-    saved = state.read_bytes()
-    assert main(arguments) == 0
-    printed = capsys.readouterr().err
-    steps = [int(line.split()[-1]) for line in printed.splitlines() if "train: step" in line]
-    assert steps[0] > 1
-    assert steps[-1] == 400
-    # With other settings it begins anew, and what an interrupt left is in nobody's way.
-    state.write_bytes(saved)
-    assert main([*arguments, "--seed", "3"]) == 0
-    assert "train: step 1\n" in capsys.readouterr().err
-    assert not state.exists()
-    assert [row["rate"] for row in rows(out)] == ["0.01"]
+def test_the_name_of_a_scene_is_that_of_its_folder() -> None:
+    assert [scene_name(Path("/a", name)) for name in ("b_1.c", "a b/", ".é.", "x" * 70)] == [
+        "b_1.c",
+        "a-b",
+        "scene",
+        "x" * 64,
+    ]
 
 
 def test_what_is_wrong_is_said(
@@ -186,8 +167,9 @@ def test_what_is_wrong_is_said(
         assert main(["rd", PHOTOGRAPHS, "-o", out, *wrong]) == 64
         assert word in capsys.readouterr().err
     assert main(["rd", str(tmp_path / "none"), "-o", out]) == 64
-    for name in ("refcodec.experiments.rd", "refcodec.experiments.figures", "bjontegaard"):
-        monkeypatch.delitem(sys.modules, name)
+    for name in ("rd", "command", "tables", "cells", "figures"):
+        monkeypatch.delitem(sys.modules, f"refcodec.experiments.{name}")
+    monkeypatch.delitem(sys.modules, "bjontegaard")
     monkeypatch.setitem(sys.modules, "bjontegaard", None)
     assert main(["rd", PHOTOGRAPHS, "-o", out]) == 64
     assert "pip install 'refcodec[train,render,rd]'" in capsys.readouterr().err

@@ -330,18 +330,18 @@ def test_archives_of_points(kind: str, tmp_path: Path, capsys: Captured) -> None
         "{}",
         "[1]",
         "[" * 100_000,
-        '{"format": "C3GS rate and distortion", "commands": [1]}',
-        '{"format": "C3GS rate and distortion", "commands": {"a": 3}}',
-        '{"format": "C3GS rate and distortion", "commands": {"a": {"arguments": [], "after": 3}}}',
+        '{"format": "C3GS demo", "commands": [1]}',
+        '{"format": "C3GS demo", "commands": {"a": 3}}',
+        '{"format": "C3GS demo", "commands": {"a": {"arguments": [], "after": 3}}}',
     ],
 )
 def test_notes_of_runs_are_checked(text: str, tmp_path: Path, capsys: Captured) -> None:
     pytest.importorskip("bjontegaard")
-    folder = tmp_path / "curve"
+    folder = tmp_path / "demo"
     folder.mkdir()
-    (folder / "rd.json").write_text(text)
+    (folder / "demo.json").write_text(text)
     photographs = ROOT / "examples" / "photographs" / "caliterra"
-    said = refused(capsys, "rd", photographs, "-o", folder, "--size", "48")
+    said = refused(capsys, "demo", "--photographs", photographs, "-o", folder)
     assert "is not a folder of this command" in said
 
 
