@@ -51,7 +51,7 @@ def _attributes(splats: Splats) -> dict[str, NDArray]:
     return {name: v if v.dtype == np.uint8 else v.astype("<f4") for name, v in attributes.items()}
 
 
-def _to_y(up: F64) -> list[float]:
+def upright(up: F64) -> list[float]:
     """Returns the quaternion x, y, z, w of the shortest turn that takes a unit vector to +y. It turns -y about z."""
     x, y, z = up.tolist()
     quaternion = np.array([-z, 0.0, x, 1 + y] if y > -1 else [0.0, 0.0, 1.0, 0.0])
@@ -92,7 +92,7 @@ def glb_bytes(splats: Splats, up: F64) -> bytes:
         "extensionsUsed": [EXTENSION],
         "scene": 0,
         "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0, "rotation": _to_y(up)}],
+        "nodes": [{"mesh": 0, "rotation": upright(up)}],
         "meshes": [{"primitives": [primitive]}],
         "accessors": accessors,
         "bufferViews": views,
