@@ -13,6 +13,7 @@ from ..files.outputs import check_apart, check_file
 from ..files.stage import write_file
 from ..files.terminal import note, say
 from .bounds import add_bounds, check_bounds, read_bounded
+from .carrying import GLB_SUFFIX, PLAIN, add_glb, export_carried
 from .shared import (
     CODED_OR_PLAIN,
     RENDER_PACKAGES,
@@ -66,6 +67,10 @@ The command reports the PSNR of the splat in dB, measured on views that the fit 
 lie between each camera and its nearest.
 Gaussians that contribute less than a tenth of a pixel to every view are dropped.
 The fit and .sog need: pip install 'refcodec[render]'.
+
+A static scene can be carried in a .glb as it is: --glb c3gs writes FILE itself by the extension
+KHR_gaussian_splatting_compression_c3gs, and --glb both adds plain Gaussians for readers without this extension. If FILE
+is such a .glb, an OUTPUT with the suffix .c3gs gets the scene that it contains.
 
 With --scaffold, OUTPUT is a folder that the code of Scaffold-GS loads. It shows the same Gaussians as FILE.
 Needs: pip install 'refcodec[fit]'."""
@@ -211,6 +216,8 @@ def _size(
 
 
 def _export(arguments: argparse.Namespace) -> int:
+    if arguments.glb != PLAIN or Path(arguments.file).suffix.lower() == GLB_SUFFIX:
+        return export_carried(arguments)
     pages = [name for name in arguments.output if name.lower().endswith(PAGE_SUFFIX)]
     single = "a Scaffold-GS folder" if arguments.scaffold else "a page" if pages else None
     if single and len(arguments.output) > 1:
@@ -282,6 +289,8 @@ def add(commands: Any) -> None:
             "export scene.c3gs -o scene.ply",
             "export scene.c3gs -o scene.spz --cameras photographs",
             "export scene.c3gs -o scene.sog -o scene.glb --degree 1",
+            "export static.c3gs -o scene.glb --glb c3gs",
+            "export scene.glb -o static.c3gs",
             "export scene.c3gs -o model --scaffold",
             "export scene.c3gs -o scene.html --photographs photographs",
         ],
@@ -299,6 +308,7 @@ def add(commands: Any) -> None:
         help="the file to write; repeatable, and all splats of a command share one fit",
     )
     export.add_argument("--scaffold", action="store_true", help="write a Scaffold-GS folder")
+    add_glb(export)
     export.add_argument(
         "--degree",
         type=int,

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..bitstream.cameras import rotation_matrix
-from ..export.glb import CHUNK, EXTENSION, HEAD, SPACE
+from ..export.glb import CHUNK, COMPRESSION, EXTENSION, HEAD, SPACE
 from ..files.documents import DocumentError, parse_json
 from ..files.text import printable
 from ..folder.layout import SceneFolderError
@@ -135,10 +135,14 @@ def _primitive(gltf: _Gltf) -> tuple[int, dict[str, Any]]:
         if extension.get(name, wanted) != wanted:
             stated = printable(repr(extension[name]), 40)
             raise gltf.fault(f"its {name} is {stated}, but only {wanted!r} is supported")
-    if extension.get("extensions"):
+    compressed, attributes = extension.get("extensions"), primitive.get("attributes")
+    # A C3GS file may have the Gaussians as plain numbers, too.
+    if compressed and not (isinstance(compressed, dict) and set(compressed) == {COMPRESSION}):
         raise gltf.fault("its Gaussians are compressed by another extension, which is not supported")
-    if not isinstance(primitive.get("attributes"), dict):
+    if not isinstance(attributes, dict):
         raise gltf.fault("its Gaussians have no attributes")
+    if compressed and "bufferView" not in gltf.item("accessors", attributes.get("POSITION")):
+        raise gltf.fault("its Gaussians are a C3GS file, which `refcodec export FILE -o scene.c3gs` takes out")
     return number, primitive
 
 

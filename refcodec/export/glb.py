@@ -22,6 +22,8 @@ from .splats import Splats, nearest_bytes, opacities
 F64 = NDArray[np.float64]
 
 EXTENSION = "KHR_gaussian_splatting"
+# The extension for a C3GS file in a GLB file (spec/gltf).
+COMPRESSION = "KHR_gaussian_splatting_compression_c3gs"
 # The kernel and the colour space, as in 3DGS.
 SPACE = {"kernel": "ellipse", "colorSpace": "srgb_rec709_display"}
 _FLOAT, _BYTE, _POINTS, _VERTICES = 5126, 5121, 0, 34962
@@ -42,7 +44,10 @@ def _attributes(splats: Splats) -> dict[str, NDArray]:
     with np.errstate(over="ignore"):
         lengths = np.minimum(np.exp(splats.scale.astype(np.float64)), np.finfo(np.float32).max)
     # Programs without the extension show points in this colour.
-    points = np.concatenate([ZERO * splats.base + 0.5, opacity[:, None]], axis=1)
+    colour = np.clip(ZERO * splats.base.astype(np.float64) + 0.5, 0, 1)
+    # COLOR_0 is linear.
+    colour = np.where(colour <= 0.04045, colour / 12.92, ((colour + 0.055) / 1.055) ** 2.4)
+    points = np.concatenate([colour, opacity[:, None]], axis=1)
     attributes: dict[str, NDArray] = {
         "POSITION": splats.mean,
         "COLOR_0": nearest_bytes(points * 255),
@@ -57,17 +62,19 @@ def _attributes(splats: Splats) -> dict[str, NDArray]:
     return {name: v if v.dtype == np.uint8 else v.astype("<f4") for name, v in attributes.items()}
 
 
-def _to_y(up: F64) -> list[float]:
+def upright(up: F64) -> list[float]:
     """Returns the quaternion x, y, z, w of the shortest turn that takes a unit vector to +y. It turns -y about z."""
     x, y, z = up.tolist()
     quaternion = np.array([-z, 0.0, x, 1 + y] if y > -1 else [0.0, 0.0, 1.0, 0.0])
     return (quaternion / np.linalg.norm(quaternion)).tolist()
 
 
-def glb_bytes(splats: Splats, up: F64) -> bytes:
-    """Returns the file. up: the up axis of the scene, a unit vector, float64 [3].
+def glb_bytes(splats: Splats, up: F64, carried: bytes | None = None, plain: bool = True) -> bytes:
+    """Returns the file.
 
-    Raises ValueError for a file of 4 GiB or more.
+    up: the up axis of the scene, a unit vector, float64 [3]. carried: the C3GS file that decodes to these Gaussians,
+    for a file with the extension COMPRESSION. plain: whether the file has the Gaussians as plain numbers; if not, only
+    readers with that extension can read it. Raises ValueError for a file of 4 GiB or more.
     """
     data: list[bytes] = []
     views: list[dict[str, Any]] = []
@@ -75,30 +82,47 @@ def glb_bytes(splats: Splats, up: F64) -> bytes:
     names = {"": "SCALAR", "3": "VEC3", "4": "VEC4"}
     attributes = _attributes(splats)
     at = 0
+    if carried is not None:
+        # The bytes of a C3GS file are a multiple of four.
+        views.append({"buffer": 0, "byteLength": len(carried)})
+        data.append(carried)
+        at = len(carried)
+    if not plain:
+        # No attribute of Gaussians.
+        del attributes["COLOR_0"]
     for values in attributes.values():
         kind = _BYTE if values.dtype == np.uint8 else _FLOAT
-        views.append({"buffer": 0, "byteOffset": at, "byteLength": values.nbytes, "target": _VERTICES})
-        accessor = {
-            "bufferView": len(accessors),
+        accessor: dict[str, Any] = {
             "componentType": kind,
             "count": len(values),
             "type": names["".join(map(str, values.shape[1:]))],
         }
-        accessors.append(accessor | ({"normalized": True} if kind == _BYTE else {}))
-        data.append(np.ascontiguousarray(values).tobytes())
-        at += values.nbytes
+        if kind == _BYTE:
+            accessor["normalized"] = True
+        if plain:
+            accessor["bufferView"] = len(views)
+            views.append({"buffer": 0, "byteOffset": at, "byteLength": values.nbytes, "target": _VERTICES})
+            data.append(np.ascontiguousarray(values).tobytes())
+            at += values.nbytes
+        accessors.append(accessor)
     accessors[0] |= {"min": splats.mean.min(axis=0).tolist(), "max": splats.mean.max(axis=0).tolist()}
+    own: dict[str, Any] = {**SPACE, "sortingMethod": "cameraDistance", "projection": "perspective"}
+    used = [EXTENSION]
+    if carried is not None:
+        own["extensions"] = {COMPRESSION: {"bufferView": 0}}
+        used.append(COMPRESSION)
     primitive = {
         "mode": _POINTS,
         "attributes": {name: number for number, name in enumerate(attributes)},
-        "extensions": {EXTENSION: {**SPACE, "sortingMethod": "cameraDistance", "projection": "perspective"}},
+        "extensions": {EXTENSION: own},
     }
     document = {
         "asset": {"version": "2.0", "generator": f"refcodec {__version__}"},
-        "extensionsUsed": [EXTENSION],
+        "extensionsUsed": used,
+        **({} if plain else {"extensionsRequired": used}),
         "scene": 0,
         "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0, "rotation": _to_y(up)}],
+        "nodes": [{"mesh": 0, "rotation": upright(up)}],
         "meshes": [{"primitives": [primitive]}],
         "accessors": accessors,
         "bufferViews": views,

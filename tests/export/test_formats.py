@@ -212,6 +212,8 @@ def read_glb(data: bytes) -> Splats:
     assert position["max"] == read["POSITION"].max(axis=0).tolist()
     opacity = read["OPACITY"][:, 0].astype(np.float64)
     shown = np.clip(0.5 + 0.28209479 * read["SH_DEGREE_0_COEF_0"].astype(np.float64), 0, 1)
+    # COLOR_0 is linear.
+    shown = np.where(shown <= 0.04045, shown / 12.92, ((shown + 0.055) / 1.055) ** 2.4)
     assert np.abs(read["COLOR_0"] / 255 - np.append(shown, opacity[:, None], axis=1)).max() < 0.51 / 255
     return Splats(
         read["POSITION"],

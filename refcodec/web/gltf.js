@@ -1,0 +1,121 @@
+// Static scenes in glTF by KHR_gaussian_splatting_compression_c3gs (spec/gltf), and a plugin of the GLTFLoader of
+// three.js, which the page provides. gltf.d.ts documents them.
+import { checkBounds } from "./bounds.js";
+import { decode } from "./c3gs.js";
+import { splatWidth } from "./container.js";
+
+const BASE = "KHR_gaussian_splatting";
+const NAME = `${BASE}_compression_c3gs`;
+const FLOAT = 5126;
+// The largest f32. An accessor holds finite numbers only.
+const LARGEST = (2 - 2 ** -23) * 2 ** 127;
+
+// The names of the attributes in order, and the parts of each. harmonics: 1, 4, 9 or 16.
+function widthsOf(harmonics) {
+  const widths = { POSITION: 3, [`${BASE}:ROTATION`]: 4, [`${BASE}:SCALE`]: 3, [`${BASE}:OPACITY`]: 1 };
+  for (let degree = 0; degree ** 2 < harmonics; degree++) {
+    for (let i = 0; i <= 2 * degree; i++) widths[`${BASE}:SH_DEGREE_${degree}_COEF_${i}`] = 3;
+  }
+  return widths;
+}
+
+// Sets the attributes of some Gaussians of 9.4, from Gaussian `first` on. Means and harmonics keep their bits.
+function fill(attributes, { count, means, logLengths, quaternions, logits, harmonics }, first) {
+  const [position, rotation, scale, opacity, ...colours] = Object.values(attributes);
+  position.set(means, 3 * first);
+  logLengths.forEach((x, i) => (scale[3 * first + i] = Math.min(Math.exp(x), LARGEST)));
+  logits.forEach((x, i) => (opacity[first + i] = 1 / (1 + Math.exp(-x))));
+  for (let i = 0; i < count; i++) {
+    const [w, x, y, z] = quaternions.subarray(4 * i, 4 * i + 4);
+    const length = Math.sqrt(w * w + x * x + y * y + z * z);
+    [x, y, z, w].forEach((part, at) => (rotation[4 * (first + i) + at] = part / length));
+    colours.forEach((colour, n) => {
+      const from = 3 * (colours.length * i + n);
+      for (let c = 0; c < 3; c++) colour[3 * (first + i) + c] = harmonics[from + c];
+    });
+  }
+}
+
+export async function decodeAttributes(input, options = {}) {
+  const chunks = decode(input, options);
+  let found, first = 0;
+  for (;;) {
+    const { value, done } = await chunks.next();
+    const { header } = value.scene;
+    if (found === undefined) {
+      // Throws RenderModelError for another render model.
+      if (header.render_model !== 1) value.scene.splat(value);
+      let count = 0;
+      for (const { kept } of value.scene.entries()) count += kept;
+      checkBounds(options, header, 0, 4 * splatWidth(header) * count);
+      const widths = Object.entries(widthsOf(header.colour_outputs / 3));
+      const attributes = widths.map(([name, width]) => [name, new Float32Array(width * count)]);
+      found = { header, count, attributes: Object.fromEntries(attributes) };
+    }
+    if (done) return found;
+    const splat = value.scene.splat(value);
+    fill(found.attributes, splat, first);
+    first += splat.count;
+  }
+}
+
+export class C3gsGltfPlugin {
+  #parser;
+  #options;
+  // The decoded buffer views by number.
+  #scenes = new Map();
+  // For each buffer view that this plugin has added: what it stands for.
+  #added = new Map();
+
+  constructor(parser, options = {}) {
+    this.name = NAME;
+    this.#parser = parser;
+    this.#options = options;
+  }
+
+  // Called by GLTFLoader before anything is loaded. Each accessor of a compressed attribute gets a buffer view of its
+  // own, which loadBufferView fills.
+  async beforeRoot() {
+    const { json } = this.#parser;
+    const taken = new Set();
+    for (const { attributes, extensions } of (json.meshes ?? []).flatMap(({ primitives }) => primitives)) {
+      const own = extensions?.[BASE]?.extensions?.[NAME];
+      if (own === undefined) continue;
+      for (const [name, number] of Object.entries(attributes)) {
+        if ((name !== "POSITION" && !name.startsWith(`${BASE}:`)) || taken.has(number)) continue;
+        const accessor = json.accessors[number];
+        if (accessor.componentType !== FLOAT) throw new Error(`the accessor of ${name} must have float numbers`);
+        const { count, type } = accessor;
+        this.#added.set(json.bufferViews.length, { from: own.bufferView, name, count, type });
+        Object.assign(accessor, { bufferView: json.bufferViews.length, byteOffset: 0, sparse: undefined });
+        json.bufferViews.push({ byteLength: 0 });
+        taken.add(number);
+      }
+    }
+  }
+
+  // Called by GLTFLoader for each buffer view. Null: it is an ordinary one.
+  loadBufferView(index) {
+    const added = this.#added.get(index);
+    return added === undefined ? null : this.#column(added);
+  }
+
+  async #column({ from, name, count, type }) {
+    const scene = await this.#scene(from);
+    const values = scene.attributes[name];
+    if (values === undefined) throw new Error(`the compressed scene has no ${name}`);
+    const parts = { SCALAR: 1, VEC3: 3, VEC4: 4 }[type];
+    if (count !== scene.count || values.length !== parts * count) {
+      throw new Error(`the accessor of ${name} has ${count} ${type}, but the scene has ${scene.count} Gaussians`);
+    }
+    return values.buffer;
+  }
+
+  #scene(number) {
+    if (!this.#scenes.has(number)) {
+      const bytes = this.#parser.getDependency("bufferView", number);
+      this.#scenes.set(number, bytes.then((data) => decodeAttributes(data, this.#options)));
+    }
+    return this.#scenes.get(number);
+  }
+}

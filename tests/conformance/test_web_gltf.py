@@ -1,0 +1,141 @@
+"""KHR_gaussian_splatting_compression_c3gs: files of export, the plugin for three.js, the validator, the schema."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import struct
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import numpy as np
+import pytest
+from test_web_three import THREE, installed
+from web_program import MISSING, NODE, ROOT
+
+from refcodec.cli.main import main
+from refcodec.convert.glb import read_glb
+from refcodec.export.glb import COMPRESSION, EXTENSION
+
+FILE = ROOT / "vectors" / "valid" / "static-degree-2.c3gs"
+SPECIFICATION = ROOT / "spec" / "gltf" / COMPRESSION
+VALIDATE = """
+const validator = require("gltf-validator"), fs = require("fs");
+validator.validateBytes(new Uint8Array(fs.readFileSync(process.argv[1])))
+  .then((report) => console.log(JSON.stringify(report.issues)));
+"""
+
+pytestmark = pytest.mark.no_cover
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the scene in both forms, and a damaged one."""
+    folder = tmp_path_factory.mktemp("gltf")
+    for form in ("c3gs", "both", "plain"):
+        assert main(["export", str(FILE), "-o", str(folder / f"{form}.glb"), "--glb", form]) == 0
+    data = bytearray((folder / "c3gs.glb").read_bytes())
+    data[data.index(FILE.read_bytes()[:8]) + 100] ^= 1
+    (folder / "damaged.glb").write_bytes(data)
+    return folder
+
+
+def document(file: Path) -> dict[str, Any]:
+    data = file.read_bytes()
+    (length,) = struct.unpack_from("<I", data, 12)
+    found: dict[str, Any] = json.loads(data[20 : 20 + length])
+    return found
+
+
+@pytest.mark.parametrize("form", ["c3gs", "both"])
+def test_the_scene_comes_out_again(files: Path, tmp_path: Path, form: str) -> None:
+    assert main(["export", str(files / f"{form}.glb"), "-o", str(tmp_path / "again.c3gs")]) == 0
+    assert (tmp_path / "again.c3gs").read_bytes() == FILE.read_bytes()
+
+
+def test_other_files_are_refused(files: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    other = str(ROOT / "vectors" / "valid" / "trained-caliterra.c3gs")
+    (tmp_path / "short.glb").write_bytes((files / "c3gs.glb").read_bytes()[:40])
+    for source, output, reason in (
+        (other, "a.glb", "depend on the view"),
+        (str(files / "plain.glb"), "a.c3gs", "0 scenes with"),
+        (str(tmp_path / "short.glb"), "a.c3gs", "truncated"),
+        (str(files / "c3gs.glb"), "a.ply", "must be one .c3gs file"),
+    ):
+        assert main(["export", source, "-o", str(tmp_path / output), "--glb", "c3gs"]) == 64
+        assert reason in capsys.readouterr().err
+        assert not (tmp_path / output).exists()
+
+
+def test_readers_without_the_extension_see_the_fallback(files: Path) -> None:
+    both, plain = (read_glb(files / f"{form}.glb") for form in ("both", "plain"))
+    for name, values in plain.items():
+        np.testing.assert_array_equal(both[name], values)
+
+
+@pytest.mark.parametrize("form", ["c3gs", "both"])
+def test_the_schema(files: Path, form: str) -> None:
+    """The schema takes the files of export, and its example is in the text."""
+    schema = json.loads((SPECIFICATION / "schema" / f"mesh.primitive.{COMPRESSION}.schema.json").read_text())
+    found = document(files / f"{form}.glb")
+    own = found["meshes"][0]["primitives"][0]["extensions"][EXTENSION]["extensions"][COMPRESSION]
+    # glTFid and glTFProperty are schemas of glTF 2.0 itself.
+    plain = {name: value for name, value in schema.items() if name not in ("allOf", "$id")}
+    plain["properties"] = {"bufferView": {"type": "integer", "minimum": 0}}
+    jsonschema.validate(own, plain)
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate({}, plain)
+    assert (COMPRESSION in found.get("extensionsRequired", [])) == (form == "c3gs")
+    (example,) = re.findall(r"```json\n(.*?)```", (SPECIFICATION / "README.md").read_text(), re.DOTALL)
+    shown = json.loads(example)["meshes"][0]["primitives"][0]
+    assert shown["extensions"][EXTENSION]["extensions"][COMPRESSION] == own
+    assert set(shown["attributes"]) <= set(found["meshes"][0]["primitives"][0]["attributes"])
+
+
+@pytest.mark.skipif(NODE is None, reason=MISSING)
+@pytest.mark.skipif(THREE is None, reason="three is in no folder of NODE_PATH, so its loader is not tested")
+def test_the_plugin_for_three(files: Path, tmp_path: Path) -> None:
+    """Compressed attributes are those of a plain file, bit by bit, but for exponentials of another library."""
+    installed(tmp_path)
+    shutil.copy(Path(__file__).with_name("gltf_web.mjs"), tmp_path)
+    names = ["c3gs.glb", "both.glb", "damaged.glb"]
+    for name in names:
+        shutil.copy(files / name, tmp_path)
+    done = subprocess.run(
+        [str(NODE), "gltf_web.mjs", *names], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    said = json.loads(done.stdout)
+    assert "SPEC.md" in said["damaged.glb"]["error"]
+    wanted = read_glb(files / "plain.glb")
+    for name in names[:2]:
+        assert said[name]["kind"] == "Points"
+        own = {key: np.frombuffer(bytes.fromhex(text), np.float32) for key, text in said[name]["attributes"].items()}
+        np.testing.assert_array_equal(own["position"].reshape(-1, 3), wanted["mean"])
+        np.testing.assert_array_equal(own[f"{EXTENSION}:SH_DEGREE_0_COEF_0".lower()].reshape(-1, 3), wanted["base"])
+        np.testing.assert_array_equal(
+            own[f"{EXTENSION}:SH_DEGREE_2_COEF_4".lower()].reshape(-1, 3), wanted["rest"][:, 7]
+        )
+        np.testing.assert_allclose(np.log(own[f"{EXTENSION}:SCALE".lower()]).reshape(-1, 3), wanted["scale"], atol=1e-6)
+        turned = own[f"{EXTENSION}:ROTATION".lower()].reshape(-1, 4)[:, [3, 0, 1, 2]]
+        np.testing.assert_allclose(turned, wanted["quaternion"], atol=1e-6)
+
+
+@pytest.mark.skipif(NODE is None, reason=MISSING)
+@pytest.mark.skipif(
+    THREE is None or not (THREE / "gltf-validator").exists(), reason="gltf-validator is not beside three in NODE_PATH"
+)
+@pytest.mark.parametrize("form", ["c3gs", "both"])
+def test_the_validator_of_khronos(files: Path, form: str) -> None:
+    """It reports no error besides the names of extensions, which it does not know."""
+    assert THREE is not None
+    words = [str(NODE), "-e", VALIDATE, str(files / f"{form}.glb")]
+    done = subprocess.run(
+        words, cwd=THREE.parent, env={"NODE_PATH": str(THREE)}, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    messages = json.loads(done.stdout)["messages"]
+    assert {m["code"] for m in messages if m["severity"] == 0} <= {"MESH_PRIMITIVE_INVALID_ATTRIBUTE"}, messages
