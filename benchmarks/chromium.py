@@ -38,8 +38,8 @@ _OPTIONS = (
     "--hide-scrollbars",
     "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",
 )
-# Time limit for the answer to a command, in seconds.
-_TIMEOUT = 120.0
+# The default time limit for the answer to a command, in seconds.
+_PATIENCE = 120.0
 
 
 class BrowserError(Exception):
@@ -58,9 +58,19 @@ class Chromium:
     """
 
     def __init__(
-        self, program: str, width: int = 960, height: int = 720, ratio: float = 1, touch: bool = False
+        self,
+        program: str,
+        width: int = 960,
+        height: int = 720,
+        ratio: float = 1,
+        touch: bool = False,
+        patience: float = _PATIENCE,
     ) -> None:
-        """program: its path. width, height: of the page, in CSS pixels. ratio: device pixels per CSS pixel."""
+        """program: its path. width, height: of the page, in CSS pixels. ratio: device pixels per CSS pixel.
+
+        patience: the time limit for the answer to a command, in seconds.
+        """
+        self._patience = patience
         self._program = program
         self._screen = {"width": width, "height": height, "deviceScaleFactor": ratio, "mobile": touch}
         self._stack = contextlib.ExitStack()
@@ -130,7 +140,7 @@ class Chromium:
     def ask(self, method: str, parameters: dict[str, Any] | None = None) -> dict[str, Any]:
         """Returns the result of a command, which goes to the page if there is one. Raises BrowserError."""
         number = self._send(method, parameters or {}, self._session)
-        end = time.monotonic() + _TIMEOUT
+        end = time.monotonic() + self._patience
         while number not in self._answers:
             self._listen(end)
         answer = self._answers.pop(number)

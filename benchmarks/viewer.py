@@ -27,13 +27,15 @@ from .results import facts, facts_line, kb, table, write_section
 SIZES = (10_000, 100_000)
 WIDTH, HEIGHT = 240, 180
 # Views for the processor time, in a page so small that drawing takes little time, and drawn frames.
-STEPS, FRAMES, SMALL = 10, 2, {"width": 64, "height": 48, "deviceScaleFactor": 1, "mobile": False}
+STEPS, FRAMES, SMALL = 5, 2, {"width": 64, "height": 48, "deviceScaleFactor": 1, "mobile": False}
+# Seconds for a picture with software rendering.
+PATIENCE = 600
 KINDS = {False: "view-dependent", True: "static"}
 
 
 def _round(program: str, file: Path) -> dict[str, Any]:
     """Returns the figures of one page, in seconds and frames."""
-    with Chromium(program, WIDTH, HEIGHT) as browser:
+    with Chromium(program, WIDTH, HEIGHT, patience=PATIENCE) as browser:
         browser.open(file.as_uri())
         browser.run("c3gs.settle()")
         times = browser.run("c3gs.times")

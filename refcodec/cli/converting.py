@@ -22,6 +22,7 @@ from .shared import (
     UsageError,
     add_command,
     check_scene_output,
+    length,
     needs,
     note_compiling,
     positive,
@@ -57,7 +58,16 @@ def _convert(arguments: argparse.Namespace) -> int:
     given = next((name for name, value in drawn.items() if value is not None), None)
     if not splats and given:
         raise UsageError(f"--{given} applies only to splat files: omit it for {source}")
+    if arguments.fast and not splats:
+        raise UsageError(f"--fast applies only to splat files: omit it for {source}")
+    if arguments.fast and (given or arguments.resume or arguments.static):
+        option = given or ("resume" if arguments.resume else "static")
+        raise UsageError(f"--fast neither draws nor trains: omit --{option}")
+    if arguments.coarseness is not None and not arguments.fast:
+        raise UsageError("--coarseness is that of --fast: add --fast")
     try:
+        if splats and arguments.fast:
+            return _fast(arguments, splats)
         return _train_from_splats(arguments, splats) if splats else _convert_model(arguments)
     except ModuleNotFoundError as error:
         raise needs("convert", "convert", error, _PACKAGES) from None
@@ -186,6 +196,35 @@ def _train_from_splats(arguments: argparse.Namespace, source: Path) -> int:
     return statuses.DONE
 
 
+def _fast(arguments: argparse.Namespace, source: Path) -> int:
+    """Writes a splat file as a static scene, without pictures."""
+    from ..bitstream.dimensions import STATIC
+    from ..bitstream.header import RenderInfo
+    from ..convert.fast import fast
+    from ..convert.splat_files import read_splats, splats_up
+    from ..folder.write import write_folder
+    from ..photographs.images import parse_background
+    from ..render.camera import nearest_axis
+
+    output = Path(arguments.output)
+    check_scene_output(output, [source])
+    arrays = read_splats(source)
+    up = train_options.up_axis(arguments)
+    try:
+        render = RenderInfo(
+            background=parse_background(arguments.background or "black") or (0, 0, 0),
+            up_axis=nearest_axis(splats_up(source)) if up is None else up,
+            render_model=STATIC,
+        )
+        with progress_bar(arguments.progress) as progress:
+            found = fast(arrays, render, arguments.coarseness or 1.0, progress)
+    except ValueError as error:
+        raise UsageError(f"{source} cannot be converted: {error}") from None
+    write_folder(found, output)
+    say(f"{output}: {found.anchor_count:,} of {len(arrays['mean']):,} Gaussians; next: refcodec encode {output}")
+    return statuses.DONE
+
+
 def _check_pictures(pictures: Path, output: Path) -> None:
     """Raises UsageError unless pictures can be kept in a new folder outside the scene."""
     if os.path.lexists(pictures):
@@ -266,6 +305,7 @@ def add(commands: Any) -> None:
             "convert output/model -o scene",
             "convert output/model -o scene --appearance 0",
             "convert scene.ply -o scene --views 200",
+            "convert scene.ply -o scene --fast",
             "convert scene.spz -o scene --up=+y --size 800 --rate 0.002 --steps 8000",
         ],
         "SOURCE is a model folder of Scaffold-GS, HAC, HAC++ or CAT-3DGS, or one of its folders iteration_N.\n"
@@ -273,6 +313,8 @@ def add(commands: Any) -> None:
         "Or SOURCE is a splat file: .ply (of 3DGS, or compressed by PlayCanvas), .spz, .sog or .glb, or a SOG folder\n"
         "with meta.json. It is rendered from the cameras in its cameras.json, or else from cameras around it, whose\n"
         "up axis is that of --up, of a .glb file, or -y. A scene is trained from these pictures.\n"
+        "With --fast, a splat file becomes a static scene of the same Gaussians, without pictures and training. This\n"
+        "takes a minute instead of many, and the file is larger.\n"
         "Options that train also has work as there.\n"
         "No code of a model runs: pickles are checked first, and TorchScript is read but not executed.\n"
         "Needs: pip install 'refcodec[convert]'.",
@@ -286,6 +328,16 @@ def add(commands: Any) -> None:
         type=whole,
         metavar="N",
         help="model: number of the training camera whose appearance the scene gets (default: the mean of all)",
+    )
+    convert.add_argument(
+        "--fast", action="store_true", help="splats: keep the Gaussians, with coarser numbers, and train nothing"
+    )
+    convert.add_argument(
+        "--coarseness",
+        type=length,
+        metavar="X",
+        help="splats: with --fast, a factor of all quantisation steps; a larger one makes the file smaller and less "
+        "accurate (default: 1)",
     )
     convert.add_argument(
         "--views", type=positive, metavar="N", help=f"splats: pictures to train from (default: {_VIEWS})"
