@@ -74,7 +74,7 @@ def scene_record(source: Source, folder: Path) -> Record:
         shown = [measures(source.view.draw(p.camera), p.image) for p in source.set.test]
         view = source.view
         own = {"anchors": len(view.masks), "gaussians": int(view.masks.sum()), "bytes": source.file.stat().st_size}
-        return {**own, **_means(shown), "cameras": len(source.fitted), "tests": len(shown)}
+        return {**own, **means(shown), "cameras": len(source.fitted), "tests": len(shown)}
 
     return kept(folder / f"{source.stem}.json", made)
 
@@ -95,7 +95,7 @@ def splat_record(source: Source, degree: int, folder: Path) -> Record:
             file_of(source, degree, suffix, folder).write_bytes(packed.data)
             shown = [measures(draw(packed.splats, p.camera, settings).image, p.image) for p in source.set.test]
             near = agreement(source.view, packed.splats, source.tests, no_progress)
-            files[suffix] = {"bytes": len(packed.data), "near": near, **_means(shown)}
+            files[suffix] = {"bytes": len(packed.data), "near": near, **means(shown)}
         return {"gaussians": len(fitted.splats.mean), "seconds": seconds, "files": files}
 
     return kept(folder / f"{source.stem}-{degree}.json", made)
@@ -132,5 +132,6 @@ def kept(file: Path, made: Any) -> Record:
     return record
 
 
-def _means(rows: list[dict[str, float]]) -> dict[str, float]:
+def means(rows: list[dict[str, float]]) -> dict[str, float]:
+    """Returns the mean PSNR and SSIM of images."""
     return {name: float(np.mean([row[name] for row in rows])) for name in ("psnr", "ssim")}
