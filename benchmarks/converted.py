@@ -14,6 +14,7 @@ import json
 import os
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -48,6 +49,8 @@ OWN, TOOL = "refcodec", f"splat-transform {VERSION}"
 FORMATS = (".spz", ".sog")
 # lambda_r of the training runs.
 RATES = (0.001, 0.004, 0.015)
+# Factors of --fast.
+COARSENESS = (0.5, 1.0, 2.0, 4.0)
 # Training runs at a time.
 JOBS = 2
 
@@ -154,16 +157,40 @@ def coded_record(source: Source, rate: float, steps: int, folder: Path) -> Recor
     return kept(folder / f"{name}.json", made)
 
 
+def fast_record(source: Source, coarseness: float, folder: Path) -> Record:
+    """Returns bytes and measures of the file that convert --fast and encode make, and the time of both.
+
+    Raises SystemExit with the message of a failing command.
+    """
+    name = f"{source.name}-fast-{coarseness:g}"
+
+    def made() -> Record:
+        scene, file = folder / name, folder / f"{name}.c3gs"
+        start = time.perf_counter()
+        words = ["--fast", "--coarseness", f"{coarseness:g}", f"--up={source.up}"]
+        refcodec("convert", str(source.file), "-o", str(scene), *words)
+        refcodec("encode", str(scene), "-o", str(file))
+        seconds = time.perf_counter() - start
+        data = file.read_bytes()
+        view = View(parse(data).scene)
+        return {"bytes": len(data), "anchors": len(view.masks), "seconds": seconds, **source.compared(view.draw)}
+
+    return kept(folder / f"{name}-{source.views}-{source.size}px.json", made)
+
+
 # --- the section ------------------------------------------------------------------------------------------------------
 
 NOTE = (
     "Test cameras compare the eight-bit renderings of all files with those of the splat file, by scikit-image. SPZ and",
     "SOG are read by the program that wrote them, and rendered as plain 3DGS.",
-    f"Two training runs in parallel, one thread each. {TOOL} is a third-party program.",
+    f"Two training runs in parallel, one thread each. {TOOL} is a third-party program. Seconds of --fast are those of",
+    "the commands convert and encode.",
 )
 
 
-def _rows(source: Source, packed: dict[tuple[str, str], Record], coded: dict[float, Record]) -> list[list[str]]:
+def _rows(
+    source: Source, packed: dict[tuple[str, str], Record], quick: dict[float, Record], coded: dict[float, Record]
+) -> list[list[str]]:
     own = source.file.stat().st_size
     rows = [[source.file.name, "", f"{own:,}", "1", "", "", f"{len(source.arrays['mean']):,} Gaussians", ""]]
 
@@ -172,10 +199,9 @@ def _rows(source: Source, packed: dict[tuple[str, str], Record], coded: dict[flo
         return [label, by, f"{found['bytes']:,}", share, f"{found['psnr']:.2f}", f"{found['ssim']:.4f}", what, seconds]
 
     rows += [row(suffix, maker, found) for (suffix, maker), found in packed.items()]
-    for rate, found in coded.items():
-        rows.append(
-            row(".c3gs", f"lambda_r {rate:g}", found, f"{found['anchors']:,} anchors", f"{found['seconds']:.0f}")
-        )
+    named = [(f"--fast --coarseness {factor:g}", found) for factor, found in quick.items()]
+    for label, found in [*named, *((f"lambda_r {rate:g}", found) for rate, found in coded.items())]:
+        rows.append(row(".c3gs", label, found, f"{found['anchors']:,} anchors", f"{found['seconds']:.0f}"))
     return rows
 
 
@@ -187,17 +213,18 @@ def section(sources: Sequence[Source], rates: Sequence[float], steps: int, folde
         raise ToolError(f"splat-transform is missing: run `{INSTALL}` in the repository's folder")
     folder.mkdir(parents=True, exist_ok=True)
     lines = []
-    head = ["file", "by", "bytes", "of the splat file", "PSNR, dB", "SSIM", "of", "training, s"]
+    head = ["file", "by", "bytes", "of the splat file", "PSNR, dB", "SSIM", "of", "seconds"]
     for source in sources:
         makers = [(suffix, maker) for suffix in FORMATS for maker in (OWN, TOOL)]
         places = [folder / f"{source.name}-{maker.partition(' ')[0]}{suffix}" for suffix, maker in makers]
         check_apart([*places, *(folder / f"{place.name}.ply" for place in places)], [s.file for s in sources])
         packed = {(suffix, maker): packed_record(source, suffix, maker, folder) for suffix, maker in makers}
+        quick = {factor: fast_record(source, factor, folder) for factor in COARSENESS}
         source.truth  # noqa: B018 (drawn once, before threads ask for it)
         with ThreadPoolExecutor(JOBS) as pool:
             found = pool.map(lambda rate, of=source: coded_record(of, rate, steps, folder), rates)
             coded = dict(zip(rates, found, strict=True))
-        lines += [f"### {source.name}", "", *table(head, _rows(source, packed, coded)), ""]
+        lines += [f"### {source.name}", "", *table(head, _rows(source, packed, quick, coded)), ""]
     return lines
 
 

@@ -1,4 +1,4 @@
-"""Wall and processor time of the conformance suite with the project's three decoders, and of the self-test.
+"""Processor time of the conformance suite with the project's three decoders, and of the self-test.
 
 python -m benchmarks.suite        needs a C compiler, `cc`
 """
@@ -11,7 +11,6 @@ import resource
 import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
 
 from tqdm import tqdm
@@ -30,14 +29,19 @@ RUNS = {
 }
 
 
-def run(options: list[str], command: list[str], folder: Path) -> tuple[float, float, dict[str, int]]:
-    """Returns wall seconds, processor seconds, and the number of vectors by status."""
-    before, start = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
-    words = [PYTHON, "-m", "conformance", "run", "--report", str(folder), *options, "--", *command]
-    subprocess.run(words, cwd=ROOT, capture_output=True, check=False)
-    wall, after = time.perf_counter() - start, resource.getrusage(resource.RUSAGE_CHILDREN)
-    counts = json.loads((folder / "report.json").read_text())["verdict"]["counts"]
-    return wall, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime, counts
+def ran(*words: str) -> tuple[float, str]:
+    """Runs a command of the suite. Returns the processor seconds of all its processes, and its output."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    command = [PYTHON, "-m", "conformance", *words]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime, done.stdout
+
+
+def run(options: list[str], command: list[str], folder: Path) -> tuple[float, dict[str, int]]:
+    """Returns processor seconds, and the number of vectors by status."""
+    seconds, _ = ran("run", "--report", str(folder), *options, "--", *command)
+    return seconds, json.loads((folder / "report.json").read_text())["verdict"]["counts"]
 
 
 def main() -> None:
@@ -51,23 +55,20 @@ def main() -> None:
         found = {}
         for title, (options, command) in tqdm(RUNS.items(), leave=False):
             found[title] = run(options, [word.replace("{c}", str(folder / "decoder")) for word in command], folder)
-    _, least, _ = found[next(reversed(found))]
+    least, _ = found[next(reversed(found))]
     rows = []
-    for title, (wall, processor, counts) in found.items():
+    for title, (seconds, counts) in found.items():
         vectors = ", ".join(f"{count} {status}" for status, count in counts.items() if count)
-        rows.append([title, vectors, f"{wall:.1f}", f"{processor:.0f}", f"{processor / least:.1f}"])
-    start = time.perf_counter()
-    command = [PYTHON, "-m", "conformance", "selftest", "--recorded"]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
-    bugs, seconds = done.stdout.strip().splitlines()[-1], time.perf_counter() - start
+        rows.append([title, vectors, f"{seconds:.0f}", f"{seconds / least:.1f}"])
+    seconds, output = ran("selftest", "--recorded")
     lines = [
         "`python -m benchmarks.suite`",
         "",
-        f"{machine()} One process per core.",
+        machine(),
         "",
-        *table(["decoder", "vectors", "seconds", "processor seconds", "times of the decoder in C"], rows),
+        *table(["decoder", "vectors", "processor seconds", "times of the decoder in C"], rows),
         "",
-        f"`conformance selftest --recorded`: {bugs}; {seconds:.0f} s.",
+        f"`conformance selftest --recorded`: {output.strip().splitlines()[-1]}; {seconds:.0f} processor seconds.",
     ]
     write_section("suite", "The conformance suite", lines)
 

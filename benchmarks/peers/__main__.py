@@ -27,21 +27,20 @@ from refcodec.train.settings_file import SettingsError
 
 from ..results import SEEDS, machine, write_section
 from .cells import experiment_name, experiment_records
-from .convert import VERSION, ToolError
+from .convert import ToolError
 from .figures import Record, Scene, scenes
 from .runs import METHODS, PLAIN, UNCODED, Run, perform, records, splat_settings, train_splats
-from .table import PLOT_FILE, TABLE_FILE, TableError, commands, plot, report, with_seeds, without
+from .table import PLOT_FILE, TABLE_FILE, TableError, commands, plot, report, tools, with_seeds, without
 
 # The name of a method in the table.
 BASELINE = "3DGS, SPZ, 4000 steps"
 RESULTS_NOTE = (
     "One thread each. Every eighth image is held out, or the 25 of playbot's own split. PSNR and SSIM are those of",
-    f"eight-bit images, by scikit-image. splat-transform {VERSION} writes and decodes SPZ 4 and SOG 2. Bytes are those",
-    "of the file, processor seconds those of the training. A spread is the standard deviation of the seeds.",
-    "Scaffold-GS has 50 features at 200 pixels, and 12 at larger sizes.",
+    "eight-bit images, by scikit-image. SPZ 4 and SOG 2 are decoded before rendering. Bytes are those of the file,",
+    "processor seconds those of the training. A spread is the standard deviation of the seeds. Scaffold-GS has 50",
+    "features at 200 pixels, and 12 at larger sizes.",
     "playbot is rendered from a splat of 31,000 Gaussians, PLAYBOT by Stephane Agullo (https://sa3d.fr), CC-BY-4.0, by",
     "`python -m benchmarks.peers.scene playbot_lod3.ply -o playbot --views 100 --tests 25 --size 400 --up=-y`.",
-    "",
 )
 
 
@@ -104,7 +103,17 @@ def _sections(
     made = []
     for place, name, sizes in groups:
         runs = [record for record in every if record["size"] in sizes]
-        head = ["```", *commands(runs, least), " ".join(words), "```", "", machine("torch"), *RESULTS_NOTE]
+        head = [
+            "```",
+            *commands(runs, least),
+            " ".join(words),
+            "```",
+            "",
+            machine("torch"),
+            *RESULTS_NOTE,
+            *tools(runs),
+            "",
+        ]
         shown = [scene for scene in certain if scene.size in sizes]
         made.append((place, name, [*head, *report(shown, arguments.baseline)]))
     return made

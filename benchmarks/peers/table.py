@@ -56,6 +56,15 @@ def commands(records: Iterable[Record], least: int) -> list[str]:
     return [f"python -m benchmarks.peers run {'|'.join(scenes)} {words}" for words, scenes in found.items()]
 
 
+def tools(records: Iterable[Record]) -> list[str]:
+    """Returns a line for each program that wrote the SPZ and SOG files of some runs, with the scenes."""
+    found: dict[str, set[str]] = defaultdict(set)
+    for record in records:
+        if "tool" in record:
+            found[record["tool"]].add(record["scene"])
+    return [f"{tool} wrote SPZ and SOG of {', '.join(sorted(scenes))}." for tool, scenes in sorted(found.items())]
+
+
 def report(scenes: Sequence[Scene], baseline: str) -> list[str]:
     """Returns the lines of the report. baseline: the method to compare with. Raises TableError without it."""
     known = sorted({label for scene in scenes for label in scene.curves})

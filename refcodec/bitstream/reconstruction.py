@@ -20,7 +20,7 @@ from .header import render_fields
 from .kernel import Kernel, kernel, values
 from .positions import position_integers
 from .scene import Scene
-from .splat import Rendering, derive_rendering, splat
+from .splat import HARMONICS, Rendering, derive_rendering, splat
 from .tables import STEP_SHIFT, step_table
 
 # SPEC 9.3: the first hashed bytes of the digests of a scene and of a chunk, and the parts of the reconstruction.
@@ -28,6 +28,8 @@ DIGEST_MAGIC = b"C3GSREC1"
 CHUNK_MAGIC = b"C3GSCHK1"
 PARTS = ("positions", "masks", "planes", "features", "scalings", "offsets", "weights")
 SPLAT = "splat"
+# Anchors whose Gaussians are computed at once.
+SPLAT_ANCHORS = 4096
 
 
 def part_names(render_model: int) -> tuple[str, ...]:
@@ -133,7 +135,14 @@ def gaussians(scene: Scene, r: Reconstruction | None = None, rendering: Renderin
     """
     r = reconstruct(scene) if r is None else r
     networks = derive_rendering(scene.networks) if rendering is None else rendering
-    return splat(networks, r.positions, r.features, r.scalings, r.offsets, scene.masks)
+    place = np.concatenate([[0], np.cumsum(scene.masks.sum(axis=1))])
+    found = np.empty((int(place[-1]), HARMONICS.start + scene.dimensions.colour_outputs), np.float32)
+    # The integers of a block stay in the cache, and take little memory.
+    for first in range(0, scene.anchor_count, SPLAT_ANCHORS):
+        rows = slice(first, min(first + SPLAT_ANCHORS, scene.anchor_count))
+        values = r.positions[rows], r.features[rows], r.scalings[rows], r.offsets[rows]
+        found[place[rows.start] : place[rows.stop]] = splat(networks, *values, scene.masks[rows])
+    return found
 
 
 def weight_part(scene: Scene) -> bytes:

@@ -30,7 +30,8 @@ export interface Parser {
  *     const { scene } = await loader.loadAsync("scene.glb");
  *
  * Without a plugin for KHR_gaussian_splatting itself, such as GLTFGaussianSplatLoaderExtension of three.js, the loader
- * makes `Points` of them. Errors of `decodeAttributes` reach the caller of the loader.
+ * makes `Points` of them. Errors of `decodeAttributes` reach the caller of the loader, and so does an Error for a
+ * primitive that does not describe the Gaussians of its C3GS file.
  */
 export class C3gsGltfPlugin {
   /** options: of `decode`. */

@@ -9,6 +9,9 @@ const NAME = `${BASE}_compression_c3gs`;
 const FLOAT = 5126;
 // The largest f32. An accessor holds finite numbers only.
 const LARGEST = (2 - 2 ** -23) * 2 ** 127;
+// The colour spaces of the base extension by transfer_characteristics, with any of these colour_primaries (6.5).
+const PRIMARIES = [1, 2];
+const SPACES = { 2: "srgb_rec709_display", 8: "lin_rec709_display", 13: "srgb_rec709_display" };
 
 // The names of the attributes in order, and the parts of each. harmonics: 1, 4, 9 or 16.
 function widthsOf(harmonics) {
@@ -59,6 +62,21 @@ export async function decodeAttributes(input, options = {}) {
   }
 }
 
+const isCompressed = (name) => name === "POSITION" || name.startsWith(`${BASE}:`);
+
+// Throws for a primitive that does not describe the Gaussians of its file.
+function check({ attributes, extensions }, { header, attributes: decoded }) {
+  const stated = Object.keys(attributes).filter(isCompressed);
+  const names = Object.keys(decoded);
+  const wrong = [...stated, ...names].find((name) => !stated.includes(name) || !names.includes(name));
+  if (wrong !== undefined) throw new Error(`${wrong} must be in both the primitive and its C3GS file, or in neither`);
+  const { colour_primaries: primaries, transfer_characteristics: transfer } = header;
+  if (!PRIMARIES.includes(primaries) || SPACES[transfer] !== extensions[BASE].colorSpace) {
+    throw new Error(`the C3GS file has colour_primaries ${primaries} and transfer_characteristics ${transfer}, ` +
+      `which are not the colorSpace of the primitive, ${extensions[BASE].colorSpace}`);
+  }
+}
+
 export class C3gsGltfPlugin {
   #parser;
   #options;
@@ -78,15 +96,15 @@ export class C3gsGltfPlugin {
   async beforeRoot() {
     const { json } = this.#parser;
     const taken = new Set();
-    for (const { attributes, extensions } of (json.meshes ?? []).flatMap(({ primitives }) => primitives)) {
-      const own = extensions?.[BASE]?.extensions?.[NAME];
+    for (const primitive of (json.meshes ?? []).flatMap(({ primitives }) => primitives)) {
+      const own = primitive.extensions?.[BASE]?.extensions?.[NAME];
       if (own === undefined) continue;
-      for (const [name, number] of Object.entries(attributes)) {
-        if ((name !== "POSITION" && !name.startsWith(`${BASE}:`)) || taken.has(number)) continue;
+      for (const [name, number] of Object.entries(primitive.attributes)) {
+        if (!isCompressed(name) || taken.has(number)) continue;
         const accessor = json.accessors[number];
         if (accessor.componentType !== FLOAT) throw new Error(`the accessor of ${name} must have float numbers`);
         const { count, type } = accessor;
-        this.#added.set(json.bufferViews.length, { from: own.bufferView, name, count, type });
+        this.#added.set(json.bufferViews.length, { primitive, from: own.bufferView, name, count, type });
         Object.assign(accessor, { bufferView: json.bufferViews.length, byteOffset: 0, sparse: undefined });
         json.bufferViews.push({ byteLength: 0 });
         taken.add(number);
@@ -100,10 +118,10 @@ export class C3gsGltfPlugin {
     return added === undefined ? null : this.#column(added);
   }
 
-  async #column({ from, name, count, type }) {
+  async #column({ primitive, from, name, count, type }) {
     const scene = await this.#scene(from);
+    check(primitive, scene);
     const values = scene.attributes[name];
-    if (values === undefined) throw new Error(`the compressed scene has no ${name}`);
     const parts = { SCALAR: 1, VEC3: 3, VEC4: 4 }[type];
     if (count !== scene.count || values.length !== parts * count) {
       throw new Error(`the accessor of ${name} has ${count} ${type}, but the scene has ${scene.count} Gaussians`);

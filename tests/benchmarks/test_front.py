@@ -23,6 +23,7 @@ SECTION = """<!-- peers-200: begin -->
 | 30.00 | 80.0 | 95.4, 0.84 | 26.4, 3.03 | beyond its 33.29 dB |
 | 31.00 | 160.0 | 173.1, 0.92 | 40.0, 4.00 | beyond its 33.29 dB |
 | 32.00 | 320.0 | beyond its 29.54 to 31.78 dB | 80.0, 4.00 | beyond its 33.29 dB |
+| BD-rate |  | +9.2 % | -69.9 % | no answer |
 <!-- peers-200: end -->
 """
 

@@ -18,7 +18,7 @@ from benchmarks.peers.figures import Point, bd_rate, bytes_at, figure, scenes
 from benchmarks.peers.runs import Run, perform, records
 from benchmarks.peers.scene import main as make_scene
 from benchmarks.peers.splats import quality, write_ply
-from benchmarks.peers.table import TableError, commands, report, with_seeds
+from benchmarks.peers.table import TableError, commands, report, tools, with_seeds, without
 from refcodec.photographs.photographs import read_photographs
 from refcodec.render.rasterise import Settings
 
@@ -89,6 +89,7 @@ def test_the_report_says_where_it_would_extrapolate() -> None:
     assert "| 30.00 | 0.1 | beyond its 31.00 to 34.00 dB |" in text
     # A third of the way from 50 to 99 bytes: 62.8, which is 6.37 times smaller.
     assert "| 32.00 | 0.4 | 0.1, 6.37 |" in text
+    assert "\n| BD-rate |  | -" in text
     with pytest.raises(TableError, match="'Z'; there are: X, 10 steps, Y, 10 steps"):
         report(scenes(given), "Z")
 
@@ -106,6 +107,25 @@ def test_the_commands_of_the_runs() -> None:
     words = "python -m benchmarks.peers run a FOLDER --method x --strengths"
     assert commands(given, 2) == [f"{words} 0.5 8000 --seeds 0 1 --size 200 --steps 10"]
     assert commands(given, 1)[1] == f"{words} 0.5 --seeds 1 --size 200 --steps 10 --set a.b=1"
+    others = [{**run, "scene": "b"} for run in given]
+    assert commands([*given, *others], 2) == [
+        f"{words} 0.5 8000 --seeds 0 1 --size 200 --steps 10".replace(" a ", " a|b ")
+    ]
+
+
+def test_methods_with_a_kind_of_file_are_left_out() -> None:
+    (scene,) = without(scenes([record("3DGS, PLY", 1, 0, 70, 20), record("3DGS, SPZ", 1, 0, 7, 20)]), "3DGS, PLY")
+    assert list(scene.curves) == ["3DGS, SPZ, 10 steps"]
+
+
+def test_the_programs_of_runs() -> None:
+    given = [
+        {"tool": "x 2", "scene": "b"},
+        {"tool": "x 2", "scene": "a"},
+        {"scene": "c"},
+        {"tool": "x 1", "scene": "d"},
+    ]
+    assert tools(given) == ["x 1 wrote SPZ and SOG of d.", "x 2 wrote SPZ and SOG of a, b."]
 
 
 # --- runs -------------------------------------------------------------------------------------------------------------

@@ -40,7 +40,9 @@ from faults import Faults  # noqa: E402
 TOGETHER = {"scene.json", "point_cloud.ply", "networks.safetensors", "planes.safetensors", "coded.safetensors"}
 TOGETHER |= {"render.json", "checkpoints.pth"}
 # Lines on stderr beside the one about the end of a command.
-NOTES = re.compile(r"train: |photographs are scaled to size|refcodec: the views are|.*: done before|.* are done before$")
+NOTES = re.compile(
+    r"train: |photographs are scaled to size|refcodec: the views are|.*: done before|.* are done before$"
+)
 
 
 def fault_of(point: str) -> OSError:

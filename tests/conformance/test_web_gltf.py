@@ -7,21 +7,33 @@ import re
 import shutil
 import struct
 import subprocess
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import jsonschema
 import numpy as np
 import pytest
+from referencing import Registry
+from referencing.jsonschema import DRAFT202012
 from test_web_three import THREE, installed
 from web_program import MISSING, NODE, ROOT
 
 from refcodec.cli.main import main
 from refcodec.convert.glb import read_glb
 from refcodec.export.glb import COMPRESSION, EXTENSION
+from refcodec.folder.layout import SceneFolderError
 
 FILE = ROOT / "vectors" / "valid" / "static-degree-2.c3gs"
 SPECIFICATION = ROOT / "spec" / "gltf" / COMPRESSION
+# What the schema uses of those of glTF 2.0 itself.
+GLTF = [
+    (name, DRAFT202012.create_resource(schema))
+    for name, schema in (
+        ("glTFid.schema.json", {"type": "integer", "minimum": 0}),
+        ("glTFProperty.schema.json", {"type": "object", "properties": {"extensions": {"type": "object"}}}),
+    )
+]
 VALIDATE = """
 const validator = require("gltf-validator"), fs = require("fs");
 validator.validateBytes(new Uint8Array(fs.readFileSync(process.argv[1])))
@@ -43,11 +55,33 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def document(file: Path) -> dict[str, Any]:
+def parts(file: Path) -> tuple[dict[str, Any], bytes]:
+    """Returns the JSON of a GLB file, and the bytes of its buffer."""
     data = file.read_bytes()
     (length,) = struct.unpack_from("<I", data, 12)
-    found: dict[str, Any] = json.loads(data[20 : 20 + length])
-    return found
+    return json.loads(data[20 : 20 + length]), data[28 + length :]
+
+
+def write_changed(source: Path, target: Path, change: Callable[[dict[str, Any], dict[str, Any]], Any]) -> Path:
+    """Writes a GLB file with changed JSON. change: gets all of it, and the primitive."""
+    found, buffer = parts(source)
+    change(found, found["meshes"][0]["primitives"][0])
+    text = json.dumps(found).encode()
+    text += b" " * (-len(text) % 4)
+    head = struct.pack("<4sIII4s", b"glTF", 2, 28 + len(text) + len(buffer), len(text), b"JSON")
+    target.write_bytes(head + text + struct.pack("<I4s", len(buffer), b"BIN\0") + buffer)
+    return target
+
+
+def columns(file: Path) -> dict[str, np.ndarray]:
+    """Returns the attributes of a GLB file with plain Gaussians, by the names of three.js."""
+    found, buffer = parts(file)
+    named = {}
+    for name, number in found["meshes"][0]["primitives"][0]["attributes"].items():
+        view = found["bufferViews"][found["accessors"][number]["bufferView"]]
+        own = buffer[view["byteOffset"] : view["byteOffset"] + view["byteLength"]]
+        named[{"POSITION": "position", "COLOR_0": "color"}.get(name, name.lower())] = own
+    return {name: np.frombuffer(own, np.float32) for name, own in named.items() if name != "color"}
 
 
 @pytest.mark.parametrize("form", ["c3gs", "both"])
@@ -70,6 +104,37 @@ def test_other_files_are_refused(files: Path, tmp_path: Path, capsys: pytest.Cap
         assert not (tmp_path / output).exists()
 
 
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda root, _: root["bufferViews"][0].update(byteOffset=-4), "outside the binary chunk"),
+        (lambda root, _: root["bufferViews"][0].update(byteLength=1 << 60), "outside the binary chunk"),
+        (lambda root, _: root["bufferViews"][0].update(byteLength=-1), "outside the binary chunk"),
+        (lambda root, _: root["bufferViews"][0].update(byteOffset=0.5), "are not integers"),
+        (lambda root, _: root["bufferViews"][0].update(byteOffset=4, byteLength=96), "is not a C3GS file"),
+        (lambda root, _: root["bufferViews"][0].update(buffer=1), "in another file"),
+        (lambda root, _: root["buffers"][0].update(uri="a.bin"), "in another file"),
+        (lambda root, _: root.update(bufferViews={}), "has no entry 0"),
+        (lambda _, own: own["extensions"][EXTENSION]["extensions"][COMPRESSION].update(bufferView=True), "entry True"),
+        (lambda root, _: root["meshes"].append({"primitives": [{"extensions": [0]}, 1]}), None),
+        (lambda root, own: root["meshes"].append({"primitives": [own, own]}), None),
+        (lambda root, _: root.update(meshes=0), "0 scenes with"),
+    ],
+)
+def test_other_json(
+    change: Callable[..., Any], reason: str | None, files: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Values of JSON that are not as they should be. reason: None where they do not matter."""
+    source = write_changed(files / "c3gs.glb", tmp_path / "a.glb", change)
+    assert main(["export", str(source), "-o", str(tmp_path / "a.c3gs")]) == (64 if reason else 0)
+    assert (reason or "") in capsys.readouterr().err
+
+
+def test_converters_name_the_way_to_the_scene(files: Path) -> None:
+    with pytest.raises(SceneFolderError, match="takes out"):
+        read_glb(files / "c3gs.glb")
+
+
 def test_readers_without_the_extension_see_the_fallback(files: Path) -> None:
     both, plain = (read_glb(files / f"{form}.glb") for form in ("both", "plain"))
     for name, values in plain.items():
@@ -80,14 +145,13 @@ def test_readers_without_the_extension_see_the_fallback(files: Path) -> None:
 def test_the_schema(files: Path, form: str) -> None:
     """The schema takes the files of export, and its example is in the text."""
     schema = json.loads((SPECIFICATION / "schema" / f"mesh.primitive.{COMPRESSION}.schema.json").read_text())
-    found = document(files / f"{form}.glb")
+    found, _ = parts(files / f"{form}.glb")
     own = found["meshes"][0]["primitives"][0]["extensions"][EXTENSION]["extensions"][COMPRESSION]
-    # glTFid and glTFProperty are schemas of glTF 2.0 itself.
-    plain = {name: value for name, value in schema.items() if name not in ("allOf", "$id")}
-    plain["properties"] = {"bufferView": {"type": "integer", "minimum": 0}}
-    jsonschema.validate(own, plain)
-    with pytest.raises(jsonschema.ValidationError):
-        jsonschema.validate({}, plain)
+    validator = jsonschema.Draft202012Validator(schema, registry=Registry().with_resources(GLTF))
+    validator.check_schema(schema)
+    validator.validate(own)
+    for wrong in ({}, {"bufferView": -1}, {"bufferView": "0"}, [0]):
+        assert not validator.is_valid(wrong)
     assert (COMPRESSION in found.get("extensionsRequired", [])) == (form == "c3gs")
     (example,) = re.findall(r"```json\n(.*?)```", (SPECIFICATION / "README.md").read_text(), re.DOTALL)
     shown = json.loads(example)["meshes"][0]["primitives"][0]
@@ -104,24 +168,34 @@ def test_the_plugin_for_three(files: Path, tmp_path: Path) -> None:
     names = ["c3gs.glb", "both.glb", "damaged.glb"]
     for name in names:
         shutil.copy(files / name, tmp_path)
+    changes: dict[str, tuple[Callable[..., Any], str]] = {
+        "count.glb": (lambda root, _: root["accessors"][0].update(count=3), "has 3 VEC3"),
+        "type.glb": (lambda root, _: root["accessors"][1].update(type="VEC3"), "VEC3, but"),
+        "bytes.glb": (lambda root, _: root["accessors"][1].update(componentType=5121), "float numbers"),
+        "missing.glb": (lambda _, own: own["attributes"].pop(f"{EXTENSION}:SH_DEGREE_1_COEF_0"), "must be in both"),
+        "linear.glb": (lambda _, own: own["extensions"][EXTENSION].update(colorSpace="lin_rec709_display"), "not the"),
+    }
+    for name, (change, _) in changes.items():
+        write_changed(files / "c3gs.glb", tmp_path / name, change)
     done = subprocess.run(
-        [str(NODE), "gltf_web.mjs", *names], cwd=tmp_path, capture_output=True, text=True, check=False
+        [str(NODE), "gltf_web.mjs", *names, *changes], cwd=tmp_path, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr
     said = json.loads(done.stdout)
     assert "SPEC.md" in said["damaged.glb"]["error"]
-    wanted = read_glb(files / "plain.glb")
+    for name, (_, reason) in changes.items():
+        assert reason in said[name]["error"]
+    wanted = columns(files / "plain.glb")
     for name in names[:2]:
         assert said[name]["kind"] == "Points"
-        own = {key: np.frombuffer(bytes.fromhex(text), np.float32) for key, text in said[name]["attributes"].items()}
-        np.testing.assert_array_equal(own["position"].reshape(-1, 3), wanted["mean"])
-        np.testing.assert_array_equal(own[f"{EXTENSION}:SH_DEGREE_0_COEF_0".lower()].reshape(-1, 3), wanted["base"])
-        np.testing.assert_array_equal(
-            own[f"{EXTENSION}:SH_DEGREE_2_COEF_4".lower()].reshape(-1, 3), wanted["rest"][:, 7]
-        )
-        np.testing.assert_allclose(np.log(own[f"{EXTENSION}:SCALE".lower()]).reshape(-1, 3), wanted["scale"], atol=1e-6)
-        turned = own[f"{EXTENSION}:ROTATION".lower()].reshape(-1, 4)[:, [3, 0, 1, 2]]
-        np.testing.assert_allclose(turned, wanted["quaternion"], atol=1e-6)
+        texts = said[name]["attributes"]
+        assert set(texts) - {"color"} == set(wanted)
+        for key, values in wanted.items():
+            own = np.frombuffer(bytes.fromhex(texts[key]), np.float32)
+            if key.endswith((":scale", ":rotation", ":opacity")):
+                np.testing.assert_array_max_ulp(own, values, 1)
+            else:
+                assert own.tobytes() == values.tobytes()
 
 
 @pytest.mark.skipif(NODE is None, reason=MISSING)
@@ -130,12 +204,19 @@ def test_the_plugin_for_three(files: Path, tmp_path: Path) -> None:
 )
 @pytest.mark.parametrize("form", ["c3gs", "both"])
 def test_the_validator_of_khronos(files: Path, form: str) -> None:
-    """It reports no error besides the names of extensions, which it does not know."""
+    """It knows neither extension: it reports both, their attributes, and a buffer view that only they use."""
     assert THREE is not None
     words = [str(NODE), "-e", VALIDATE, str(files / f"{form}.glb")]
     done = subprocess.run(
         words, cwd=THREE.parent, env={"NODE_PATH": str(THREE)}, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr
-    messages = json.loads(done.stdout)["messages"]
-    assert {m["code"] for m in messages if m["severity"] == 0} <= {"MESH_PRIMITIVE_INVALID_ATTRIBUTE"}, messages
+    found = {
+        (m["code"], m["pointer"].rpartition("/")[2].partition(":")[0]) for m in json.loads(done.stdout)["messages"]
+    }
+    assert found == {
+        ("UNSUPPORTED_EXTENSION", "0"),
+        ("UNSUPPORTED_EXTENSION", "1"),
+        ("MESH_PRIMITIVE_INVALID_ATTRIBUTE", EXTENSION),
+        ("UNUSED_OBJECT", "0"),
+    }

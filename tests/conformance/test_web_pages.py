@@ -6,8 +6,10 @@ The packages are looked for as in test_web_three.py: `npm install three @sparkjs
 from __future__ import annotations
 
 import base64
+import contextlib
 import io
 import threading
+from collections.abc import Iterator
 from dataclasses import replace
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -22,6 +24,9 @@ from benchmarks.chromium import Chromium, find
 from benchmarks.large import made_static
 from refcodec.bitstream import cameras, codec
 from refcodec.bitstream.scene import Ancillary
+from refcodec.export.glb import glb_bytes
+from refcodec.export.splats import static_splats
+from refcodec.render.camera import axis_direction
 from refcodec.viewer.page import page
 
 pytestmark = [
@@ -33,6 +38,8 @@ pytestmark = [
 PAGES = Path(__file__).with_name("pages")
 TYPES = {".html": "text/html", ".js": "text/javascript", ".mjs": "text/javascript", ".wasm": "application/wasm"}
 VALID = ROOT / "vectors" / "valid"
+# Since three 0.187.
+SPLATS = "examples/jsm/loaders/GLTFGaussianSplatLoaderExtension.js"
 CAMERAS = 4
 
 
@@ -53,13 +60,13 @@ def path(request: pytest.FixtureRequest) -> tuple[bytes, list[np.ndarray]]:
 
 
 class _Server(ThreadingHTTPServer):
-    """Serves the pages, the module, packages and a file, each under a name of its own."""
+    """Serves the pages, the module, packages and files, each under a name of its own."""
 
     daemon_threads = True
 
-    def __init__(self, places: dict[str, Path], data: bytes) -> None:
+    def __init__(self, places: dict[str, Path], files: dict[str, bytes]) -> None:
         super().__init__(("127.0.0.1", 0), _Handler)
-        self.places, self.data = places, data
+        self.places, self.files = places, files
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -68,7 +75,7 @@ class _Handler(BaseHTTPRequestHandler):
     def do_GET(self) -> None:
         _, first, *rest = self.path.partition("?")[0].split("/")
         path = self.server.places.get(first, PAGES / first).joinpath(*rest)
-        data = self.server.data if first == "scene.c3gs" else path.read_bytes() if path.is_file() else None
+        data = self.server.files.get(first) or (path.read_bytes() if path.is_file() else None)
         self.send_response(404 if data is None else 200)
         self.send_header("Content-Type", TYPES.get(path.suffix, "application/octet-stream"))
         self.send_header("Content-Length", str(len(data or b"")))
@@ -86,20 +93,26 @@ def _image(address: str) -> np.ndarray:
     return np.asarray(Image.open(io.BytesIO(base64.b64decode(address.partition(",")[2]))).convert("RGB"))
 
 
-def _pictures(name: str, packages: tuple[str, ...], data: bytes) -> list[np.ndarray]:
-    """Returns what a page draws for each camera. Skips without its packages."""
+@contextlib.contextmanager
+def _opened(name: str, packages: tuple[str, ...], files: dict[str, bytes]) -> Iterator[Chromium]:
+    """Opens a page, which must report nothing. Skips without its packages. files: what the page loads, by name."""
     modules = next((f for f in FOLDERS if all((f / package / "package.json").exists() for package in packages)), None)
     if modules is None:
         pytest.skip(f"{' and '.join(packages)} are in no folder of NODE_PATH")
-    with _Server({"modules": modules, "c3gs": WEB}, data) as server:
+    with _Server({"modules": modules, "c3gs": WEB}, files) as server:
         threading.Thread(target=server.serve_forever, daemon=True).start()
         with Chromium(str(find()), 320, 240) as browser:
             browser.open(f"http://127.0.0.1:{server.server_address[1]}/{name}.html")
             browser.until("globalThis.picture !== undefined")
-            found = [_image(browser.run(f"picture({number})")) for number in range(CAMERAS)]
+            yield browser
             assert browser.said == []
         server.shutdown()
-    return found
+
+
+def _pictures(name: str, packages: tuple[str, ...], data: bytes) -> list[np.ndarray]:
+    """Returns what a page draws for each camera."""
+    with _opened(name, packages, {"scene.c3gs": data}) as browser:
+        return [_image(browser.run(f"picture({number})")) for number in range(CAMERAS)]
 
 
 def _agreement(found: list[np.ndarray], right: list[np.ndarray]) -> list[float]:
@@ -131,3 +144,18 @@ def test_playcanvas_draws_the_scene(path: tuple[bytes, list[np.ndarray]]) -> Non
 
 def test_three_draws_the_means(path: tuple[bytes, list[np.ndarray]]) -> None:
     assert min(_agreement(_pictures("three", ("three",), path[0]), path[1])) > 12
+
+
+def test_three_draws_glb_files(path: tuple[bytes, list[np.ndarray]]) -> None:
+    """Its own renderer draws the same from the compressed scene and from the fallback. It has harmonics of 8 bits."""
+    data, right = path
+    scene = codec.parse(data).scene
+    splats, up = static_splats(scene), axis_direction(scene.render.up_axis)
+    files = {"c3gs.glb": glb_bytes(splats, up, data, plain=False), "both.glb": glb_bytes(splats, up, data)}
+    if not any((f / "three" / SPLATS).exists() for f in FOLDERS):
+        pytest.skip("three is in no folder of NODE_PATH, or has no loader of Gaussians in glTF")
+    with _opened("gltf", ("three",), {"scene.c3gs": data, **files}) as browser:
+        assert browser.run("kinds") == ["GaussianSplat"] * 3
+        assert browser.run("same(0)")
+        found = [_image(browser.run(f"picture({number})")) for number in range(CAMERAS)]
+    assert min(_agreement(found, right)) > 28

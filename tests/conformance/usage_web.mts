@@ -1,12 +1,14 @@
-// A use of all that c3gs.d.ts and three.d.ts declare. test_web_three.py has its types checked; it never runs.
+// A use of all that the types of the package declare. test_web_three.py has its types checked; it never runs.
 import {
   BoundPassedError, C3gsError, cameraMatrix, centreOf, decode, decodeAll, decodeChunk, Gaussians, open,
   projectionMatrix, RenderModelError, uprightMatrix, type Scene, type View,
 } from "c3gs";
 import { playCanvasElements, sparkSplats } from "c3gs/adapters";
+import { C3gsGltfPlugin, decodeAttributes } from "c3gs/gltf";
 import { C3gsLoader, C3gsModel } from "c3gs/three";
 import { PackedSplats, ExtSplats, SplatMesh } from "@sparkjsdev/spark";
 import { Object3D, PerspectiveCamera, Scene as World } from "three";
+import { GLTFLoader } from "three/addons/loaders/GLTFLoader.js";
 
 async function stream(response: Response, place: PerspectiveCamera, object: Object3D): Promise<void> {
   let gaussians: Gaussians | undefined;
@@ -65,4 +67,12 @@ async function three(world: World, camera: PerspectiveCamera): Promise<void> {
   console.log(playCanvasElements(plain)[0].properties.map(({ name, storage }) => [name, storage.length]));
   loader.load("a.c3gs", (own) => console.log(own.bounds), undefined, (error) => console.log(error));
 }
-void [stream, whole, three];
+async function gltf(world: World, bytes: Uint8Array): Promise<void> {
+  const loader = new GLTFLoader();
+  loader.register((parser) => new C3gsGltfPlugin(parser, { maxMemory: 1 << 29 }));
+  world.add((await loader.loadAsync("scene.glb")).scene);
+  const { header, count, attributes } = await decodeAttributes(bytes);
+  const scales: Float32Array = attributes["KHR_gaussian_splatting:SCALE"];
+  console.log(header.colour_outputs, count, scales.length);
+}
+void [stream, whole, three, gltf];
