@@ -26,12 +26,12 @@ _POSITION_MOST, _FRACTION_MOST = (1 << 23) - 1, 20
 # Opacities o are stored as 255 o, coefficients c of degree 0 as 255 (0.15 c + 0.5), scales s as 16 (s + 10).
 COLOUR, SCALE, SCALE_LEAST = 0.15, 16, -10
 # Other coefficients c are stored as 128 c + 128 in a byte. They are from -1 to 1. An encoder sets the lowest bits to 0,
-# which gzip compresses. 7 bits lose up to 0.013 dB, 6 up to 0.06, and the 5 bits of degree 1 and 4 of the others of
-# Niantic's library up to 0.9, measured on photographs (benchmarks/RESULTS.md, Exported scenes).
+# which gzip compresses. On photographs, files of 7 bits lose 0.01 dB, of 6 up to 0.06, and with the 5 bits of degree 1
+# and the 4 of the others of Niantic's library up to 0.9 (benchmarks/RESULTS.md, closed studies).
 _HARMONIC = 128
 BITS_LEAST, BITS, BITS_MOST = 4, 7, 8
-# A step of positions is this share of the longest axis that is shorter than those of nine in ten Gaussians. It loses
-# nothing visible, and is 2^-12 in scenes of an ordinary size, as in Niantic's library.
+# A step of positions is at most this share of the longest axis of nine in ten Gaussians. It loses nothing visible. In
+# scenes of an ordinary size it is 2^-12, as in Niantic's library.
 _STEP_SHARE, _QUANTILE = 1 / 64, 0.1
 # Components of quaternions have a sign and nine bits. All but the largest are at most the square root of 1/2.
 _COMPONENT = 511 * np.sqrt(2)

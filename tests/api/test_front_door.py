@@ -136,6 +136,7 @@ def test_decoding_loads_no_heavy_package() -> None:
 import sys, refcodec
 scene = refcodec.decode({str(TRAINED)!r})
 refcodec.encode(scene), scene.positions, scene.sizes, scene.camera
+refcodec.gaussians({str(TRAINED.with_name("static-degree-2.c3gs"))!r})
 print(sorted({{'torch', 'numba', 'PIL', 'scipy', 'safetensors', 'fsspec', 'jinja2'}} & set(sys.modules)))
 """
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
@@ -193,6 +194,38 @@ def test_values_have_the_stated_shapes(scene: refcodec.Scene) -> None:
     assert found.mean.shape == (len(found.opacity), 3)
     assert scene.masks[found.anchor, found.offset].all()
     assert repr(scene) == f"<refcodec.Scene: {n:,} anchors, {scene.masks.sum():,} of {n * k:,} offsets kept>"
+
+
+def test_plain_gaussians_of_a_static_scene() -> None:
+    """They are the same from a path, from bytes and from a scene, and cannot be changed."""
+    static = TRAINED.with_name("static-degree-2.c3gs")
+    scene = refcodec.decode(static)
+    n = int(scene.masks.sum())
+    shapes = {"mean": (n, 3), "base": (n, 3), "rest": (n, 8, 3), "opacity": (n,), "scale": (n, 3), "quaternion": (n, 4)}
+    for found in (refcodec.gaussians(static), refcodec.gaussians(static.read_bytes()), scene.splats):
+        assert isinstance(found, refcodec.Splats)
+        assert found.degree == 2
+        assert list(vars(found)) == list(shapes)
+        for name, values in vars(found).items():
+            assert (values.shape, values.dtype, values.flags.writeable) == (shapes[name], np.float32, False)
+            np.testing.assert_array_equal(values, getattr(scene.splats, name))
+    # Those of a view are the same ones.
+    assert np.array_equal(scene.gaussians().mean, scene.splats.mean)
+    assert len(refcodec.gaussians(TRAINED.with_name("static-empty.c3gs")).mean) == 0
+
+
+def test_other_scenes_have_no_plain_gaussians(scene: refcodec.Scene) -> None:
+    """Nothing is decoded for the verdict, and bounds hold as for decode."""
+    with pytest.raises(ValueError, match="`refcodec export FILE -o OUTPUT`"):
+        refcodec.gaussians(TRAINED)
+    with pytest.raises(ValueError, match="depend on the view"):
+        refcodec.gaussians(TRAINED, max_anchors=1)
+    with pytest.raises(ValueError, match="depend on the view"):
+        _ = scene.splats
+    with pytest.raises(refcodec.BoundPassedError):
+        refcodec.gaussians(TRAINED.with_name("static-degree-2.c3gs"), max_anchors=1)
+    with pytest.raises(refcodec.BitstreamError):
+        refcodec.gaussians(TRAINED.with_name("static-degree-2.c3gs").read_bytes()[:-1])
 
 
 def test_a_folder_comes_back_as_it_was(scene: refcodec.Scene, tmp_path: Path) -> None:

@@ -21,6 +21,7 @@ from refcodec.export import fit, views  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[2]
 TRAINED = ROOT / "vectors" / "valid" / "trained-caliterra.c3gs"
+STATIC = ROOT / "vectors" / "valid" / "static-degree-2.c3gs"
 PHOTOGRAPHS = ROOT / "examples" / "photographs" / "caliterra"
 
 
@@ -76,6 +77,41 @@ def test_export(place: Path, capsys: pytest.CaptureFixture[str], monkeypatch: py
     assert [output.read_bytes() for output in outputs] == before
 
 
+def test_a_static_scene(place: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Export of a static scene is no fit, and decode writes the same files."""
+    monkeypatch.setattr(fit, "fit", None)
+    shutil.copy(STATIC, place / "static.c3gs")
+    outputs = [f"static.{suffix}" for suffix in ("ply", "spz", "sog", "glb")]
+    assert main(["export", "static.c3gs", *(word for output in outputs for word in ("-o", output))]) == 0
+    said = capsys.readouterr()
+    assert said.err == ""
+    for output in outputs:
+        size = (place / output).stat().st_size
+        assert f"{output}: 9 Gaussians, degree 2, {size:,} bytes, static.c3gs has 4,040\n" in said.out
+    before = [(place / output).read_bytes() for output in outputs]
+    assert main(["decode", "static.c3gs", *(word for output in outputs for word in ("--splat", output))]) == 0
+    assert capsys.readouterr() == said
+    assert [(place / output).read_bytes() for output in outputs] == before
+    assert main(["decode", "static.c3gs", "-o", "folder"]) == 0
+    assert main(["export", "folder", "-o", "again.ply"]) == 0
+    assert (place / "again.ply").read_bytes() == before[0]
+
+
+def test_bits_of_spz(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Fewer bits take fewer bytes, and the output has the size with others."""
+    sizes = {}
+    for words in ([], ["--spz-bits", "4"], ["--spz-bits", "8"]):
+        assert main(["export", "scene.c3gs", "-o", "a.spz", *QUICK, *words]) == 0
+        bits, other, size = re.search(  # type: ignore[union-attr]
+            r"its harmonics have (\d) bits; with (\d) \(export --spz-bits\) it has (\S+) bytes", capsys.readouterr().out
+        ).groups()
+        sizes[bits] = (place / "a.spz").stat().st_size
+        sizes.setdefault(f"said {other}", int(size.replace(",", "")))
+    assert list(sizes) == ["7", "said 8", "4", "8", "said 7"]
+    assert sizes["4"] < sizes["7"] < sizes["8"]
+    assert (sizes["said 7"], sizes["said 8"]) == (sizes["7"], sizes["8"])
+
+
 @pytest.mark.slow
 def test_photographs_are_nearer(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Where the scene was trained, it depends less on the view than elsewhere."""
@@ -113,12 +149,26 @@ def test_a_scene_folder(place: Path, capsys: pytest.CaptureFixture[str]) -> None
         (["scene.c3gs", "-o", "scene.ply", "--max-anchors", "100"], "--max-anchors"),
         (["scene.c3gs", "-o", "scene.ply", "--cameras", "nothing"], "nothing"),
         (["empty.c3gs", "-o", "scene.ply"], "no camera sees a Gaussian"),
+        (["scene.c3gs", "-o", "scene.ply", "--spz-bits", "6"], "--spz-bits applies only to .spz outputs"),
+        (["scene.c3gs", "-o", "scene.spz", "--spz-bits", "3"], "invalid choice"),
+        (["static.c3gs", "-o", "scene.ply", "--degree", "2"], "a static scene, which needs no fit: omit --degree"),
+        (["static.c3gs", "-o", "scene.ply", "--cameras", "x"], "a static scene, which needs no fit: omit --cameras"),
+        (["static.c3gs", "-o", "model", "--scaffold"], "render_model 1"),
+        (["static.c3gs", "--splat", "scene.c3gs"], "allowed are .ply, .spz, .sog, .glb\n"),
+        (["static.c3gs", "--splat", "a.ply", "-o", "folder"], "not allowed with argument"),
+        (["static.c3gs", "--splat", "a.ply", "--keep-going"], "--splat writes whole files only"),
+        (["static.c3gs", "--splat", "a.ply", "--chunks", "0:1"], "--splat writes whole files only"),
+        (["scene.c3gs", "--splat", "a.ply"], "`refcodec export FILE -o OUTPUT` fits plain Gaussians to its views"),
+        (["static-empty.c3gs", "--splat", "a.ply"], "it has no Gaussians"),
+        (["static-far.c3gs", "--splat", "a.spz"], "SPZ positions are below 2^23"),
     ],
 )
 def test_wrong_usage(words: list[str], said: str, place: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    shutil.copy(ROOT / "vectors" / "valid" / "empty.c3gs", place / "empty.c3gs")
+    shutil.copy(STATIC, place / "static.c3gs")
+    for name in ("empty.c3gs", "static-empty.c3gs", "static-far.c3gs"):
+        shutil.copy(STATIC.with_name(name), place)
     before = sorted(place.iterdir())
-    assert main(["export", *words]) == 64
+    assert main(["decode" if "--splat" in words else "export", *words]) == 64
     assert said in capsys.readouterr().err
     assert sorted(place.iterdir()) == before
 

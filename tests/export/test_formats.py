@@ -9,6 +9,7 @@ import math
 import struct
 import zipfile
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,7 @@ from benchmarks.peers.convert import convert, tool  # noqa: E402
 from refcodec.bitstream.cameras import rotation_matrix  # noqa: E402
 from refcodec.export.formats import FORMATS, splat_file  # noqa: E402
 from refcodec.export.splats import Splats, opacities  # noqa: E402
+from refcodec.export.spz import BITS_LEAST, BITS_MOST, spz_file  # noqa: E402
 from refcodec.render.camera import axis_direction  # noqa: E402
 from refcodec.render.harmonics import REST, rest_harmonics  # noqa: E402
 
@@ -271,6 +273,30 @@ def test_spz_is_near(degree: int) -> None:
     assert np.abs(opacities(held) - opacities(splats)).max() <= 0.51 / 255
     turned = rotation_matrix(held.unit_quaternions()) - rotation_matrix(splats.unit_quaternions())
     assert np.abs(turned).max() < 0.01
+
+
+@pytest.mark.parametrize("bits", range(BITS_LEAST, BITS_MOST + 1))
+def test_bits_of_spz(bits: int) -> None:
+    """Harmonics are multiples of the step of their bits, the nearest ones. Other numbers do not depend on the bits."""
+    splats, step = splats_of(500, 3), 2.0 ** (1 - bits)
+    packed, other = spz_file(splats, bits), spz_file(splats)
+    assert_same(read_spz(packed.data), packed.splats)
+    rest = packed.splats.rest
+    # The highest byte is 255 instead of 256.
+    np.testing.assert_array_equal(np.where(rest == 127 / 128, 0, rest) % step, 0)
+    assert np.abs(rest - np.clip(splats.rest, -1, 127 / 128)).max() <= 0.501 * step
+    for name in set(ARRAYS) - {"rest"}:
+        np.testing.assert_array_equal(getattr(packed.splats, name), getattr(other.splats, name))
+
+
+def test_positions_of_spz() -> None:
+    """The step follows the size of the Gaussians, within what 24 bits hold."""
+    splats = splats_of(100, 0)
+    for grown, bits in ((0.0, 0), (-2.0, 2), (-40.0, 19), (40.0, 0)):
+        sized = replace(splats, scale=np.full_like(splats.scale, grown * np.log(2) + 6 * np.log(2)))
+        data = gzip.decompress(spz_file(sized).data)
+        # Positions are below 16, which takes 4 of the 23 bits besides the sign.
+        assert data[13] == bits
 
 
 def test_sog_is_near() -> None:
