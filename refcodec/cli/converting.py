@@ -200,15 +200,22 @@ def _fast(arguments: argparse.Namespace, source: Path) -> int:
     """Writes a splat file as a static scene, without pictures."""
     from ..bitstream.dimensions import STATIC
     from ..bitstream.header import RenderInfo
+    from ..convert import views
     from ..convert.fast import fast
     from ..convert.splat_files import read_splats, splats_up
+    from ..convert.splats import tensors
     from ..folder.write import write_folder
     from ..photographs.images import parse_background
-    from ..render.camera import nearest_axis
+    from ..render.camera import STATED, nearest_axis, spread_cameras
 
     output = Path(arguments.output)
     check_scene_output(output, [source])
     arrays = read_splats(source)
+    stated = _cameras_of(source, None)
+    if not stated:
+        upwards = views.AXES[arguments.up] if arguments.up else splats_up(source)
+        stated = views.orbit(tensors(arrays), upwards, views.SIDE, STATED, 1)[views.TRAIN]
+    cameras = spread_cameras(stated, STATED)
     up = train_options.up_axis(arguments)
     try:
         render = RenderInfo(
@@ -217,7 +224,7 @@ def _fast(arguments: argparse.Namespace, source: Path) -> int:
             render_model=STATIC,
         )
         with progress_bar(arguments.progress) as progress:
-            found = fast(arrays, render, arguments.coarseness or 1.0, progress)
+            found = fast(arrays, render, arguments.coarseness or 1.0, cameras, progress)
     except ValueError as error:
         raise UsageError(f"{source} cannot be converted: {error}") from None
     write_folder(found, output)

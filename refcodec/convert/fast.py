@@ -14,10 +14,12 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..bitstream.cameras import NamedCamera
 from ..bitstream.dimensions import RENDERING
 from ..bitstream.header import PositionGrid, RenderInfo
 from ..bitstream.networks import ACTIVATION_MAX, Layer
@@ -48,11 +50,18 @@ LOGIT_MOST = 5.0
 STEPS, BATCH = 600, 2048
 
 
-def fast(arrays: Arrays, render: RenderInfo, step: float = 1.0, progress: Progress | None = None) -> Scene:
+def fast(
+    arrays: Arrays,
+    render: RenderInfo,
+    step: float = 1.0,
+    cameras: Sequence[NamedCamera] = (),
+    progress: Progress | None = None,
+) -> Scene:
     """Returns a static scene of Gaussians.
 
     arrays: of read_splats. render: the scene's render information, of a static scene. step: a factor of all steps; a
-    larger one makes the file smaller and less accurate. Raises ValueError for Gaussians that no file can hold.
+    larger one makes the file smaller and less accurate. cameras: those that the scene states. Raises ValueError for
+    Gaussians that no file can hold.
     """
     arrays = {name: values[arrays["opacity"] >= LOGIT_LEAST] for name, values in arrays.items()}
     if not len(arrays["mean"]):
@@ -86,6 +95,7 @@ def fast(arrays: Arrays, render: RenderInfo, step: float = 1.0, progress: Progre
         grid=grid,
         networks=networks,
         render=render,
+        cameras=tuple(cameras),
         base_step=(1.0, float(np.float32(step * LENGTH)), float(np.float32(small))),
     )
     settings = FitSettings(steps=STEPS, batch=BATCH, entropy=EntropySettings(channels=0))
