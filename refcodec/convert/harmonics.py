@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import torch
 from torch import Tensor
 
-from ..render.harmonics import ZERO, rest_harmonics
+from ..render.harmonics import ZERO
+from ..train.harmonics import harmonics_torch
 
 
 def basis(direction: Tensor, degree: int) -> Tensor:
-    """Returns the harmonics of degree 1 to `degree` in unit directions [N, 3]: [N, (degree + 1)^2 - 1]."""
-    functions = rest_harmonics(direction.unbind(dim=1), degree)
-    return torch.stack(functions, dim=1) if functions else direction[:, :0]
+    """Returns the harmonics of degree 1 to `degree` in directions [N, 3], not 0: [N, (degree + 1)^2 - 1]."""
+    return harmonics_torch(direction, (degree + 1) ** 2)[:, 1:]
 
 
 def colours(base: Tensor, rest: Tensor, mean: Tensor, centre: Tensor, degree: int) -> Tensor:
@@ -22,7 +21,6 @@ def colours(base: Tensor, rest: Tensor, mean: Tensor, centre: Tensor, degree: in
     """
     total = ZERO * base + 0.5
     if degree:
-        away = mean - centre
-        harmonics = basis(away / away.norm(dim=1, keepdim=True).clamp_min(1e-12), degree)
+        harmonics = basis(mean - centre, degree)
         total = total + (harmonics[:, :, None] * rest[:, : harmonics.shape[1]]).sum(dim=1)
     return total.clamp_min(0)
