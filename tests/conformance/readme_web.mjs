@@ -27,7 +27,7 @@ const AsyncFunction = (async () => {}).constructor;
 
 let ran = 0;
 for (const [, text] of blocks) {
-  if (/"(c3gs\/three|@sparkjsdev\/spark)"/.test(text)) continue;
+  if (/"(three|c3gs\/three|@sparkjsdev\/spark)[/"]/.test(text)) continue;
   // Imports are there already. What a block declares, the next ones have, too.
   const code = text.replace(/^import .*$/gm, "").replace(/^(const|let) (\w+)( =|;)/gm, (all, kind, name, rest) => {
     return rest === ";" ? `page.${name} = undefined;` : `page.${name} =`;
