@@ -22,7 +22,7 @@ from torch import Tensor
 from ..bitstream.attributes import KINDS
 from ..bitstream.batches import Progress
 from ..bitstream.codec import derive_steps
-from ..bitstream.dimensions import RENDERING, Dimensions
+from ..bitstream.dimensions import RENDER_MODELS, RENDERING, STATIC, Dimensions
 from ..bitstream.limits import MAIN, PROFILES, dimension_fault
 from ..bitstream.networks import Layer
 from ..bitstream.planes import PLANE_SYMBOL_MAX, PLANES
@@ -159,7 +159,12 @@ def _start(given: Given, settings: FitSettings) -> Scene:
         grid = choose_grid(cloud.positions)
         ordered, half = order_anchors(cloud, grid)
     d = fit_dimensions(ordered, settings.entropy, _render_width(given))
-    base_step = base_steps(cloud, settings.scene if given.networks else settings.quantisation, settings.rate)
+    if given.render.render_model == STATIC and given.networks:
+        colours = len(given.networks[RENDERING[2]][-1][1]) // d.offset_count
+        d = replace(d, view_inputs=RENDER_MODELS[STATIC][0], colour_outputs=colours)
+    base_step = given.base_step or base_steps(
+        cloud, settings.scene if given.networks else settings.quantisation, settings.rate
+    )
     networks: dict[str, list[Layer]] = {
         name: [(np.zeros(shape, np.float32), np.zeros(shape[0], np.float32)) for shape in shapes]
         for name, shapes in d.network_shapes().items()
