@@ -14,22 +14,23 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from ..bitstream.dimensions import RENDERING, STATIC
+from ..bitstream.dimensions import RENDERING, STATIC, layers_of
 from ..bitstream.header import PositionGrid, RenderInfo
 from ..bitstream.limits import MAIN, PROFILES
 from ..bitstream.networks import Layer
 from ..bitstream.positions import CELL_LEVELS
 from ..bitstream.scene import Scene
+from ..bitstream.splat import OUTPUT_BITS
 from ..encoder.cloud import AnchorCloud
 from ..encoder.positions import choose_grid
+from ..encoder.quantise import packed
 from ..render.camera import Camera, spread_cameras
 from ..render.rasterise import Settings
 from ..train.fit import FitResult, fit
 from ..train.fit_input import Given
 from ..train.settings import EntropySettings, FitSettings
-from ..train.voxelise import short_mantissa
 from .importance import COLOUR, LENGTHS, LOGIT, TURN, importance, numbers, splats_of
-from .linear import Linear, hidden_units, network
+from .linear import hidden_units, network
 from .splats import drawn
 
 F32, F64, I64 = NDArray[np.float32], NDArray[np.float64], NDArray[np.int64]
@@ -39,35 +40,56 @@ Progress = Callable[[str, int, int], None]
 CLASSES = 4
 # Below this opacity, a Gaussian is not drawn (SPEC 14.5).
 OPACITY_LEAST = 1 / 255
+# Larger logits give nearly the same pictures, because an opacity at a pixel is at most alpha_max (SPEC 14.5). Importance
+# is measured with logits up to the second bound: opacities at that maximum have no derivative.
+LOGIT_MAX, LOGIT_MEASURED = 8.0, 4.0
 # A Gaussian is dropped if its absence costs less than this many bits: that many are saved, but absences add up.
 BITS = 12
 # The steps of positions, relative to those of equal slope: an error moves whole Gaussians, and derivatives of pictures
 # underestimate it (own measurement).
-POSITION = 0.5
+POSITION = 0.4
 # The largest steps, by kind: derivatives say nothing about larger errors.
 STEP_MAX = {"lengths": 0.5, "logit": 1.5, "turn": 0.25, "colour": 1.0}
+# The smallest weight, which keeps quotients finite.
+TINY = 1e-300
 KINDS = {"lengths": LENGTHS, "logit": LOGIT, "turn": TURN, "colour": COLOUR}
+# The columns that each rendering network decodes. The covariance network also has w, which is 1.
+OUTPUTS = {"opacity": LOGIT, "covariance": [0, 1, 2, 4, 5, 6], "colour": COLOUR}
 # Features of slices before those of colours: the class, lengths and logit, turn.
 SLICES = (1, 4, 3)
+COLOURS = (3, 3, 6, 12, 24)
+# The share of weights of 0 from which on the smallest scale is the best one.
+SPARSE = 0.5
 # The search for the quality: views, renderings, and the largest difference in dB that ends it. The quality falls by
 # about SLOPE dB where lambda is tenfold.
-JUDGES, TRIES, NEAR, SLOPE = 8, 6, 0.05, 9.0
-# Neighbouring cells, nearest first, for anchors whose cell is taken.
-AROUND = np.array(sorted(np.ndindex(3, 3, 3), key=lambda c: sum((i - 1) ** 2 for i in c))[1:]) - 1
-MOVES = 8
+JUDGES, TRIES, TOLERANCE, SLOPE = 8, 6, 0.05, 9.0
+# Positions: the share of means that choose the middle of the lattice, bits of its unit, the share of taken cells that
+# makes it finer, and the moves out of a taken cell, which are tried in this order.
+INLIERS, VOXEL_BITS, CROWDED = 0.95, 4, 0.1
+AROUND, FAR = [np.array(step) for step in sorted(np.ndindex(2, 2, 2), key=sum)[1:]], (1, -1, 2, -2, 3, -3)
+# The entropy model: steps of training, and what differs from a fit of longer training.
+STEPS, BATCH, NETWORK_RATE = 600, 2048, 0.02
+# Cameras around the Gaussians that measure, and the sides of their images in pixels.
+VIEWS, SIDE = 32, 400
 
 
 @dataclass(frozen=True, eq=False)
 class Measured:
     """Gaussians to code, with what errors in them cost.
 
-    mean [n, 3], table [n, numbers] (importance.py); and the importance of each number, of means and of the table.
+    mean [n, 3], table [n, numbers] (importance.py); the importance of each number, of means and of the table; and the
+    squared error of pictures by the absence of each Gaussian, [n].
     """
 
     mean: F32
     table: F64
     by_mean: F64
     by_number: F64
+    absence: F64
+
+    def of(self, rows: NDArray[np.bool_]) -> Measured:
+        """Returns some of the Gaussians."""
+        return Measured(*(values[rows] for values in vars(self).values()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,9 +106,7 @@ class Coded:
     table: F64
 
 
-def measured(
-    arrays: Mapping[str, F32], cameras: Sequence[Camera], settings: Settings, progress: Progress
-) -> Measured:
+def measured(arrays: Mapping[str, F32], cameras: Sequence[Camera], settings: Settings, progress: Progress) -> Measured:
     """Returns the Gaussians that can be seen at all, measured in the pictures of some cameras.
 
     arrays: as splat_files.read_splats returns them.
@@ -95,7 +115,16 @@ def measured(
     seen |= ~seen.any()
     chosen = {name: values[seen] for name, values in arrays.items()}
     table = numbers(chosen)
-    return Measured(chosen["mean"], table, *importance(chosen["mean"], table, cameras, settings, progress))
+    column = LOGIT.start
+    table[:, column] = np.minimum(table[:, column], LOGIT_MAX)
+    limited = table.copy()
+    limited[:, column] = np.minimum(table[:, column], LOGIT_MEASURED)
+    by_mean, by_number = importance(chosen["mean"], limited, cameras, settings, progress)
+    opacity, own = (1 / (1 + np.exp(-values[:, column])) for values in (limited, table))
+    # A pixel is linear in an opacity.
+    absence = by_number[:, column] / (1 - opacity) ** 2
+    by_number[:, column] *= (own * (1 - own) / (opacity * (1 - opacity))) ** 2
+    return Measured(chosen["mean"], table, by_mean, by_number, absence)
 
 
 # --- symbols ----------------------------------------------------------------------------------------------------------
@@ -116,111 +145,110 @@ def _classes(weights: Mapping[str, F64], most: int) -> I64:
 
 def _step(rate: float, weight: F64 | float) -> F64:
     """Returns the step whose squared error, step^2 / 12 weight, has the slope -rate against its bits."""
-    slope: F64 = np.sqrt(6 * rate / math.log(2) / np.maximum(weight, 1e-300))
-    return slope
+    found: F64 = np.sqrt(6 * rate / math.log(2) / np.maximum(weight, TINY))
+    return found
 
 
 def _lattice(given: Measured, rate: float) -> tuple[PositionGrid, F32]:
-    """Returns the grid of positions, and the positions on it, float32 [n, 3], no two in a cell as far as possible."""
+    """Returns the grid of positions, and the positions on its lattice, float32 [n, 3].
+
+    No two positions are equal, as far as possible: a chunk of equal ones cannot be packed (SPEC 6.11).
+    """
     mean = given.mean.astype(np.float64)
-    # The few Gaussians far out do not decide where the lattice is exact.
-    core = mean[np.abs(mean - np.median(mean, axis=0)).max(axis=1).argsort()[: math.ceil(0.95 * len(mean))]]
-    step = float(POSITION * _step(rate, given.by_mean.mean()))
-    low, high = mean.min(axis=0), mean.max(axis=0)
-    reach = float(np.abs(np.stack([low, high]) - core.mean(axis=0)).max())
-    # All cells are within the tree, and none is much finer than float32 at this distance from the world's origin.
-    floor = max(reach / (0.4 * 2**CELL_LEVELS), float(np.abs(mean).max()) * 2.0**-21) or 1.0
-    voxel = short_mantissa(min(max(step, floor), max(reach, floor)))
-    grid = choose_grid(core.astype(np.float32), voxel)
-    unit = grid.scale_mantissa * 2.0**grid.scale_exponent
-    origin = np.array([o * 2.0 ** (grid.scale_exponent - 24) for o in grid.origin])
-    exact = (mean - origin) / unit
-
-    def rounded(cells: F64) -> I64:
-        return np.rint(cells).astype(np.float16).astype(np.int64)
-
-    cell = rounded(exact)
+    # The few Gaussians far out do not decide where fp16 is exact.
+    away = np.abs(mean - np.median(mean, axis=0)).max(axis=1)
+    core = mean[away <= np.quantile(away, INLIERS)]
+    reach = float(np.abs(mean - (core.min(axis=0) + core.max(axis=0)) / 2).max())
+    # All cells are within the tree. Multiples of a mantissa of VOXEL_BITS bits are exact in float32.
+    least = max(reach / (0.4 * 2**CELL_LEVELS), float(np.abs(mean).max()) * 2.0 ** (VOXEL_BITS - 24)) or 1.0
+    voxel = min(max(float(POSITION * _step(rate, given.by_mean.mean())), least), max(reach, least))
     # The most important ones choose first.
     order = np.argsort(-given.by_mean.sum(axis=1), kind="stable")
-    cell, exact = cell[order], exact[order]
-    for offset in (AROUND[i] for i in range(MOVES)):
-        first = np.unique(cell, axis=0, return_index=True)[1]
-        late = np.ones(len(cell), bool)
-        late[first] = False
-        if not late.any():
+    while True:
+        fraction, exponent = math.frexp(voxel)
+        grid = choose_grid(
+            core.astype(np.float32), math.ldexp(math.ceil(fraction * 2**VOXEL_BITS), exponent - VOXEL_BITS)
+        )
+        unit = grid.scale_mantissa * 2.0**grid.scale_exponent
+        origin = np.array([o * 2.0 ** (grid.scale_exponent - 24) for o in grid.origin])
+        exact = (mean[order] - origin) / unit
+        cell = _rounded(exact)
+        if _late(cell).mean() <= CROWDED or voxel / 2 < least:
             break
-        # Towards the exact position first.
-        side = np.where(exact[late] >= cell[late], 1, -1)
-        cell[late] = rounded(cell[late] + side * np.abs(offset))
+        voxel /= 2
+    # Towards the exact position first.
+    home, side = cell.copy(), np.where(exact >= cell, 1, -1)
+    for far in FAR:
+        for step in AROUND:
+            late = _late(cell)
+            if late.any():
+                cell[late] = _rounded(home[late] + far * side[late] * step)
     back = np.empty_like(cell)
     back[order] = cell
     return grid, (origin + unit * back).astype(np.float32)
 
 
-def coded(given: Measured, rate: float, degree_outputs: int) -> Coded:
-    """Returns the symbols at a rate: the error of pictures, mean squared, that a bit is worth.
+def _rounded(cells: F64) -> I64:
+    """Returns the nearest integers that fp16 holds."""
+    return np.rint(cells).astype(np.float16).astype(np.int64)
 
-    degree_outputs: 3 for each harmonic.
+
+def _late(cell: I64) -> NDArray[np.bool_]:
+    """Returns which cells occur before, bool [n]. cell: int64 [n, 3]."""
+    late = np.ones(len(cell), bool)
+    late[np.unique((cell + (1 << 17)) @ (1, 1 << 20, 1 << 40), return_index=True)[1]] = False
+    return late
+
+
+def coded(given: Measured, rate: float) -> Coded:
+    """Returns the symbols at a rate: the mean squared error of a picture that a bit is worth.
+
+    Raises ValueError for numbers that no network of SPEC 7.2 decodes.
     """
-    absence = given.by_number[:, LOGIT.start] * (1 + np.exp(given.table[:, LOGIT.start])) ** 2
-    kept = absence >= BITS * rate
-    kept |= ~kept.any()
-    given = Measured(given.mean[kept], given.table[kept], given.by_mean[kept], given.by_number[kept])
-    weights = {name: given.by_number[:, columns].mean(axis=1) for name, columns in KINDS.items()}
-    table, n = given.table, len(given.table)
-    widths = PROFILES[MAIN].render_width[1]
-    most = max(k for k in range(1, CLASSES + 1) if hidden_units(k, max(6, degree_outputs)) <= widths)
-    chosen = _classes(weights, most)
+    kept = given.absence >= BITS * rate
+    given = given.of(kept | ~kept.any())
+    table, (n, numbers_count) = given.table, given.table.shape
+    weights = {name: given.by_number[:, columns].mean(axis=1) + TINY for name, columns in KINDS.items()}
+    most = PROFILES[MAIN].render_width[1]
+    widest = max(numbers_count - COLOUR.start, 6)
+    chosen = _classes(weights, max(k for k in range(1, CLASSES + 1) if hidden_units(k, widest) <= most))
     classes = int(chosen.max()) + 1
-    steps, basis, middle = {}, {}, {}
+    # Of each column: a step for each class, [C, numbers], and a middle. Columns of a kind have equal steps.
+    steps, middle, basis = np.empty((classes, numbers_count)), np.empty(numbers_count), np.eye(numbers_count)
     for name, columns in KINDS.items():
-        values, weight = table[:, columns], weights[name] + 1e-300
+        weight = weights[name]
         each = np.array([weight[chosen == k].mean() for k in range(classes)])
-        steps[name] = np.minimum(_step(rate, each), STEP_MAX[name])
-        middle[name] = (values * weight[:, None]).sum(axis=0) / weight.sum()
-        basis[name] = np.eye(values.shape[1])
-        if name == "colour":
-            centred = values - middle[name]
-            _, vectors = np.linalg.eigh((centred * weight[:, None]).T @ centred / weight.sum())
-            basis[name] = vectors[:, ::-1]
-    # w of the quaternion is 1.
-    whole = np.zeros((7, 6))
-    whole[:3, :3], whole[4:, 3:] = basis["lengths"], basis["turn"]
-    parts = {
-        "opacity": (["logit"], basis["logit"], middle["logit"]),
-        "covariance": (["lengths", "turn"], whole, np.concatenate([middle["lengths"], [1.0], middle["turn"]])),
-        "colour": (["colour"], basis["colour"], middle["colour"]),
-    }
-    sizes = {name: KINDS_FEATURES[name] if name != "colour" else degree_outputs for name in KINDS}
-    count = 1 + sum(sizes.values())
-    starts = dict(zip(KINDS, np.cumsum([1, *sizes.values()])[:-1].tolist(), strict=True))
-    width = hidden_units(classes, max(6, degree_outputs))
-    features, decoded = np.zeros((n, count), np.int64), table.copy()
-    features[:, 0] = chosen
+        steps[:, columns] = np.minimum(_step(rate, each), STEP_MAX[name])[:, None]
+        middle[columns] = weight @ table[:, columns] / weight.sum()
+    centred = table[:, COLOUR] - middle[COLOUR]
+    _, vectors = np.linalg.eigh((centred * weights["colour"][:, None]).T @ centred / weights["colour"].sum())
+    basis[COLOUR, COLOUR] = vectors[:, ::-1]
+    features, decoded = np.concatenate([chosen[:, None], np.zeros((n, numbers_count), np.int64)], axis=1), table.copy()
     networks = {}
-    for name in RENDERING:
-        kinds, matrix, centre = parts[name]
-        places = np.concatenate([np.arange(starts[k], starts[k] + sizes[k]) for k in kinds])
-        each = np.concatenate([np.repeat(steps[k][:, None], sizes[k], axis=1) for k in kinds], axis=1)
-        networks[name], maps = network(each, matrix, centre, places, count, width)
-        outputs = np.concatenate([np.arange(KINDS[k].start, KINDS[k].start + sizes[k]) for k in kinds])
-        rows = np.arange(len(matrix)) if name != "covariance" else np.array([0, 1, 2, 4, 5, 6])
+    for name, columns in OUTPUTS.items():
+        wide = np.arange(numbers_count)[columns] if isinstance(columns, slice) else np.array(columns)
+        layers, maps = network(
+            steps[:, wide],
+            basis[np.ix_(wide, wide)],
+            middle[wide],
+            wide + 1,
+            numbers_count + 1,
+            hidden_units(classes, widest),
+        )
         for k in range(classes):
-            mine = np.flatnonzero(chosen == k)
-            symbols = _symbols(table[np.ix_(mine, outputs)], maps, k, rows)
-            features[np.ix_(mine, places)] = symbols
-            decoded[np.ix_(mine, outputs)] = symbols @ maps.matrix[k][rows].T + maps.middle[rows]
+            mine = np.ix_(chosen == k, wide)
+            symbols = maps.symbols(table[mine], k)
+            decoded[mine] = maps.numbers(symbols, k)
+            features[np.ix_(chosen == k, wide + 1)] = symbols
+        networks[name] = _with_w(layers) if name == "covariance" else layers
     grid, positions = _lattice(given, rate)
     return Coded(positions, grid, features, networks, decoded)
 
 
-KINDS_FEATURES = {"lengths": 3, "logit": 1, "turn": 3}
-
-
-def _symbols(values: F64, maps: Linear, k: int, rows: I64) -> I64:
-    """Returns the symbols of a class that are nearest to values, in least squares."""
-    inverse = np.linalg.pinv(maps.matrix[k][rows])
-    return np.rint((values - maps.middle[rows]) @ inverse.T).clip(-maps.most[k], maps.most[k]).astype(np.int64)
+def _with_w(layers: list[Layer]) -> list[Layer]:
+    """Returns the covariance network with an output for w of the quaternion, which is 1."""
+    first, (weight, bias) = layers
+    return [first, (np.insert(weight, 3, 0, axis=0), np.insert(bias, 3, 2.0**OUTPUT_BITS))]
 
 
 # --- quality ----------------------------------------------------------------------------------------------------------
@@ -248,18 +276,17 @@ class Judge:
 
 def search(given: Measured, psnr: float, judge: Judge, progress: Progress) -> tuple[Coded, float]:
     """Returns the symbols whose pictures have a PSNR, in dB, as nearly as a few tries find them; and their PSNR."""
-    outputs = given.table.shape[1] - COLOUR.start
     # The squared error of each number is that of its step.
     rate = 10 ** (-psnr / 10) * 2 * math.log(2) / given.table.size
     tries: list[tuple[float, float]] = []
     best: tuple[Coded, float] | None = None
     for number in range(TRIES):
-        found = coded(given, rate, outputs)
+        found = coded(given, rate)
         reached = judge.psnr(found)
         progress("search", number + 1, TRIES)
         if best is None or abs(reached - psnr) < abs(best[1] - psnr):
             best = found, reached
-        if abs(reached - psnr) <= NEAR:
+        if abs(reached - psnr) <= TOLERANCE:
             break
         tries.append((math.log10(rate), reached))
         slope = SLOPE
@@ -292,7 +319,35 @@ def fitted(found: Coded, render: RenderInfo, cameras: Sequence[Camera], steps: i
         cameras=tuple(spread_cameras(cameras, 16)) if cameras else (),
         base_step=(1.0, 1.0, 1.0),
     )
-    colours = count - sum(SLICES)
-    slices = (*SLICES, 3, *([colours - 3] if colours > 3 else []))
-    settings = FitSettings(steps=steps, entropy=EntropySettings(slices=slices))
+    settings = FitSettings(
+        steps=steps, batch=BATCH, network_rate=NETWORK_RATE, entropy=EntropySettings(slices=_slices(count))
+    )
     return fit(given, settings, progress=progress)
+
+
+def _slices(count: int) -> tuple[int, ...]:
+    """Returns the slices of the features: those of colours are longer and longer, as these matter less and less."""
+    found, left = [*SLICES], count - sum(SLICES)
+    for width in COLOURS:
+        if left > 0:
+            found.append(min(width, left))
+            left -= width
+    return tuple(found)
+
+
+def packed_tightly(scene: Scene) -> Scene:
+    """Returns the scene with packed positions and weights, of which most of the rendering networks' are 0.
+
+    Scales for these rendering networks are smaller than the root of the mean square (SPEC B.5): their few other weights
+    are escapes.
+    """
+    scene = packed(scene, None, None)
+    assert scene.weight_scales is not None
+    scales = scene.weight_scales.copy()
+    names = [name for name, _, _ in layers_of(scene.dimensions)]
+    for number, name in enumerate(names):
+        if name.partition(".")[0] in RENDERING:
+            network, _, layer = name.partition(".")
+            if (scene.networks[network][int(layer)][0] == 0).mean() > SPARSE:
+                scales[number, 1] = 0
+    return replace(scene, weight_scales=scales)

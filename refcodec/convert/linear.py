@@ -37,6 +37,16 @@ class Linear:
     middle: F64
     most: I64
 
+    def symbols(self, numbers: F64, k: int) -> I64:
+        """Returns the features [n, features] that are nearest to numbers [n, numbers] of class k, in least squares."""
+        found = np.rint((numbers - self.middle) @ np.linalg.pinv(self.matrix[k]).T)
+        return found.clip(-self.most[k], self.most[k]).astype(np.int64)
+
+    def numbers(self, symbols: I64, k: int) -> F64:
+        """Returns what the network makes of features of class k, before its rounding."""
+        found: F64 = symbols @ self.matrix[k].T + self.middle
+        return found
+
 
 def network(steps: F64, basis: F64, middle: F64, inputs: I64, count: int, width: int) -> tuple[list[Layer], Linear]:
     """Returns a rendering network, and what its integers compute.
