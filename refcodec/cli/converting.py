@@ -26,6 +26,7 @@ from .shared import (
     note_compiling,
     positive,
     progress_bar,
+    quality,
     read_photographs_of,
     seed,
     weight,
@@ -33,7 +34,10 @@ from .shared import (
 )
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from ..bitstream.scene import Scene
+    from ..convert.splats import Splats
     from ..render.camera import Camera
     from ..train.settings import TrainSettings
 
@@ -42,6 +46,8 @@ _PACKAGES = ("torch", "numba", "scipy", "PIL", "skimage")
 # Splat files (refcodec.convert.splat_files), and the file of a SOG folder. Any other source is a model folder.
 _SPLATS, _SOG = (".ply", ".spz", ".sog", ".glb"), "meta.json"
 _VIEWS = 200
+# Options of a training that --fast does not have.
+_TRAINED = ("pictures", "rate", "seed", "resume", "background", "holdout", "anchors", "voxel", "set")
 
 
 def _convert(arguments: argparse.Namespace) -> int:
@@ -53,12 +59,19 @@ def _convert(arguments: argparse.Namespace) -> int:
         raise UsageError(f"{source} is neither a model folder nor a splat file ({', '.join(_SPLATS)})")
     if splats and arguments.appearance is not None:
         raise UsageError(f"--appearance applies only to model folders: omit it for {source}")
-    drawn = {name: getattr(arguments, name) for name in ("views", "cameras", "pictures", "steps", "rate", "size")}
+    drawn = {
+        name: getattr(arguments, name) for name in ("views", "cameras", "pictures", "steps", "rate", "size", "psnr")
+    }
+    drawn["fast"] = arguments.fast or None
     given = next((name for name, value in drawn.items() if value is not None), None)
     if not splats and given:
         raise UsageError(f"--{given} applies only to splat files: omit it for {source}")
+    if arguments.psnr is not None and not arguments.fast:
+        raise UsageError("--psnr applies only to --fast: add it, or choose the quality of a training with --rate")
     try:
-        return _train_from_splats(arguments, splats) if splats else _convert_model(arguments)
+        if splats:
+            return _convert_fast(arguments, splats) if arguments.fast else _train_from_splats(arguments, splats)
+        return _convert_model(arguments)
     except ModuleNotFoundError as error:
         raise needs("convert", "convert", error, _PACKAGES) from None
 
@@ -123,6 +136,49 @@ def fitted(arguments: argparse.Namespace) -> tuple[Scene, int]:
 
 
 # --- a file of splats -------------------------------------------------------------------------------------------------
+
+
+def _convert_fast(arguments: argparse.Namespace, source: Path) -> int:
+    """Converts a splat file to a file of a static scene, without a training of the scene."""
+    from ..bitstream.codec import emit
+    from ..bitstream.header import SIGNATURE, RenderInfo
+    from ..convert import fast, views
+    from ..convert.splat_files import read_splats, splats_up
+    from ..convert.splats import tensors
+    from ..files.outputs import Kind, check_apart, check_file
+    from ..files.stage import write_file
+    from ..render.camera import STATED, nearest_axis
+
+    for name in _TRAINED:
+        if getattr(arguments, name):
+            raise UsageError(f"--{name} applies only to a training: omit it, or omit --fast")
+    output = Path(arguments.output)
+    check_file(output, Kind.signed("a C3GS file", SIGNATURE))
+    check_apart([output], [source])
+    cameras = _cameras_of(source, arguments.cameras)
+    arrays = read_splats(source)
+    note_compiling()
+    up = views.AXES[arguments.up] if arguments.up else splats_up(source)
+    chosen = _chosen(arguments, cameras, tensors(arrays), up, arguments.size or str(fast.SIDE), fast.VIEWS)
+    render = RenderInfo(up_axis=nearest_axis(up), near_plane=views.near_plane(tensors(arrays)))
+    psnr = fast.PSNR if arguments.psnr is None else arguments.psnr
+    with progress_bar(arguments.progress) as progress:
+        try:
+            found = fast.converted(
+                arrays, chosen, render, STATED if cameras else 1, psnr, arguments.steps or fast.STEPS, progress
+            )
+            data = emit(found.scene, progress=progress)
+        except ValueError as error:
+            raise UsageError(f"{source} cannot be converted: {error}") from None
+    write_file(output, data)
+    count = f"{found.scene.anchor_count:,} of {len(arrays['mean']):,} Gaussians"
+    say(f"{output}: {len(data):,} bytes, {count}, {found.psnr:.1f} dB to {source}")
+    if abs(found.psnr - psnr) > 1:
+        note(f"refcodec: {psnr:g} dB were not reached: the file has the nearest quality that was found")
+    if not found.whole:
+        note("refcodec: stopped early; the file is written, but larger than necessary")
+        return statuses.INTERRUPTED
+    return statuses.DONE
 
 
 def _train_from_splats(arguments: argparse.Namespace, source: Path) -> int:
@@ -237,22 +293,38 @@ def _draw(
     from ..convert import views
     from ..convert.splat_files import read_splats, splats_up
     from ..convert.splats import tensors
-    from ..photographs.images import parse_background, parse_size
+    from ..photographs.images import parse_background
 
     try:
-        size, background = parse_size(settings.size), parse_background(settings.background)
+        background = parse_background(settings.background)
     except ValueError as error:
         raise UsageError(str(error)) from None
-    side = max(size) if isinstance(size, tuple) else size
     splats = tensors(read_splats(source))
-    count = arguments.views or _VIEWS
-    if cameras:
-        chosen = views.given(cameras, count, side)
-    else:
-        up = views.AXES[arguments.up] if arguments.up else splats_up(source)
-        chosen = views.orbit(splats, up, side or views.SIDE, count, max(count // views.TEST_EVERY, 1))
+    up = views.AXES[arguments.up] if arguments.up else splats_up(source)
+    chosen = _chosen(arguments, cameras, splats, up, settings.size, _VIEWS)
     with progress_bar(arguments.progress) as progress:
         views.write_photographs(splats, chosen, folder, progress, background)
+
+
+def _chosen(
+    arguments: argparse.Namespace, cameras: list[Camera], splats: Splats, up: NDArray[Any], size: str, count: int
+) -> dict[str, list[Camera]]:
+    """Returns cameras by purpose: a selection of the given ones, or else cameras around the splats.
+
+    size, count: the default of --views, and the sides of pictures. Raises UsageError.
+    """
+    from ..convert import views
+    from ..photographs.images import parse_size
+
+    try:
+        sides = parse_size(size)
+    except ValueError as error:
+        raise UsageError(str(error)) from None
+    side = max(sides) if isinstance(sides, tuple) else sides
+    count = arguments.views or count
+    if cameras:
+        return views.given(cameras, count, side)
+    return views.orbit(splats, up, side or views.SIDE, count, max(count // views.TEST_EVERY, 1))
 
 
 def add(commands: Any) -> None:
@@ -266,6 +338,8 @@ def add(commands: Any) -> None:
             "convert output/model -o scene",
             "convert output/model -o scene --appearance 0",
             "convert scene.ply -o scene --views 200",
+            "convert scene.ply -o scene.c3gs --fast",
+            "convert scene.ply -o scene.c3gs --fast --psnr 40",
             "convert scene.spz -o scene --up=+y --size 800 --rate 0.002 --steps 8000",
         ],
         "SOURCE is a model folder of Scaffold-GS, HAC, HAC++ or CAT-3DGS, or one of its folders iteration_N.\n"
@@ -274,13 +348,27 @@ def add(commands: Any) -> None:
         "with meta.json. It is rendered from the cameras in its cameras.json, or else from cameras around it, whose\n"
         "up axis is that of --up, of a .glb file, or -y. A scene is trained from these pictures.\n"
         "Options that train also has work as there.\n"
+        "With --fast, the Gaussians of a splat file themselves are coded, as a static scene, in about a minute. The\n"
+        "output is a C3GS file then. Pictures only measure which numbers matter.\n"
         "No code of a model runs: pickles are checked first, and TorchScript is read but not executed.\n"
         "Needs: pip install 'refcodec[convert]'.",
         writes=True,
         parents=[train_options.parser()],
     )
     convert.add_argument("source", metavar="SOURCE", help="a model folder, or a splat file")
-    convert.add_argument("-o", "--output", metavar="SCENE_DIR", required=True, help="the scene folder to write")
+    convert.add_argument(
+        "-o",
+        "--output",
+        metavar="SCENE_DIR",
+        required=True,
+        help="the scene folder to write; with --fast the C3GS file",
+    )
+    convert.add_argument(
+        "--fast", action="store_true", help="splats: code the Gaussians, without a training of a scene"
+    )
+    convert.add_argument(
+        "--psnr", type=quality, metavar="DB", help="--fast: PSNR of pictures to those of the splats (default: 46)"
+    )
     convert.add_argument(
         "--appearance",
         type=whole,
@@ -288,7 +376,7 @@ def add(commands: Any) -> None:
         help="model: number of the training camera whose appearance the scene gets (default: the mean of all)",
     )
     convert.add_argument(
-        "--views", type=positive, metavar="N", help=f"splats: pictures to train from (default: {_VIEWS})"
+        "--views", type=positive, metavar="N", help=f"splats: pictures to train from (default: {_VIEWS}; --fast: 32)"
     )
     convert.add_argument("--cameras", metavar="FILE", help="splats: a cameras.json as 3DGS writes it")
     convert.add_argument("--pictures", metavar="DIR", help="splats: keep the pictures, as photographs for eval")

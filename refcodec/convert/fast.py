@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from ..bitstream.dimensions import RENDERING, STATIC, layers_of
+from ..bitstream.dimensions import RENDERING, SCALINGS, STATIC, layers_of
 from ..bitstream.header import PositionGrid, RenderInfo
 from ..bitstream.limits import MAIN, PROFILES
 from ..bitstream.networks import Layer
@@ -26,22 +26,25 @@ from ..encoder.positions import choose_grid
 from ..encoder.quantise import packed
 from ..render.camera import Camera, spread_cameras
 from ..render.rasterise import Settings
-from ..train.fit import FitResult, fit
+from ..train.fit import fit
 from ..train.fit_input import Given
 from ..train.settings import EntropySettings, FitSettings
 from .importance import COLOUR, LENGTHS, LOGIT, TURN, importance, numbers, splats_of
 from .linear import hidden_units, network
 from .splats import drawn
+from .views import TEST, TRAIN
 
-F32, F64, I64 = NDArray[np.float32], NDArray[np.float64], NDArray[np.int64]
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
 Progress = Callable[[str, int, int], None]
 
 # The most classes of anchors by importance. More of them save no bytes (own measurement).
 CLASSES = 4
 # Below this opacity, a Gaussian is not drawn (SPEC 14.5).
 OPACITY_LEAST = 1 / 255
-# Larger logits give nearly the same pictures, because an opacity at a pixel is at most alpha_max (SPEC 14.5). Importance
-# is measured with logits up to the second bound: opacities at that maximum have no derivative.
+# Larger logits give nearly the same pictures, as an opacity at a pixel is at most alpha_max (SPEC 14.5). Importance is
+# measured with logits up to the second bound, because opacities at that maximum have no derivative.
 LOGIT_MAX, LOGIT_MEASURED = 8.0, 4.0
 # A Gaussian is dropped if its absence costs less than this many bits: that many are saved, but absences add up.
 BITS = 12
@@ -54,13 +57,13 @@ STEP_MAX = {"lengths": 0.5, "logit": 1.5, "turn": 0.25, "colour": 1.0}
 TINY = 1e-300
 KINDS = {"lengths": LENGTHS, "logit": LOGIT, "turn": TURN, "colour": COLOUR}
 # The columns that each rendering network decodes. The covariance network also has w, which is 1.
-OUTPUTS = {"opacity": LOGIT, "covariance": [0, 1, 2, 4, 5, 6], "colour": COLOUR}
+OUTPUTS = {"opacity": (LOGIT,), "covariance": (LENGTHS, TURN), "colour": (COLOUR,)}
 # Features of slices before those of colours: the class, lengths and logit, turn.
 SLICES = (1, 4, 3)
 COLOURS = (3, 3, 6, 12, 24)
 # The share of weights of 0 from which on the smallest scale is the best one.
 SPARSE = 0.5
-# The search for the quality: views, renderings, and the largest difference in dB that ends it. The quality falls by
+# The search for the quality: cameras, tries, and the largest difference in dB that ends it. The quality falls by
 # about SLOPE dB where lambda is tenfold.
 JUDGES, TRIES, TOLERANCE, SLOPE = 8, 6, 0.05, 9.0
 # Positions: the share of means that choose the middle of the lattice, bits of its unit, the share of taken cells that
@@ -71,6 +74,8 @@ AROUND, FAR = [np.array(step) for step in sorted(np.ndindex(2, 2, 2), key=sum)[1
 STEPS, BATCH, NETWORK_RATE = 600, 2048, 0.02
 # Cameras around the Gaussians that measure, and the sides of their images in pixels.
 VIEWS, SIDE = 32, 400
+# The default quality in dB.
+PSNR = 46.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,6 +109,15 @@ class Coded:
     features: I64
     networks: dict[str, list[Layer]]
     table: F64
+
+
+@dataclass(frozen=True)
+class Fast:
+    """A converted scene. psnr: of its pictures, dB. whole: whether its entropy model is trained to the end."""
+
+    scene: Scene
+    psnr: float
+    whole: bool
 
 
 def measured(arrays: Mapping[str, F32], cameras: Sequence[Camera], settings: Settings, progress: Progress) -> Measured:
@@ -162,6 +176,8 @@ def _lattice(given: Measured, rate: float) -> tuple[PositionGrid, F32]:
     # All cells are within the tree. Multiples of a mantissa of VOXEL_BITS bits are exact in float32.
     least = max(reach / (0.4 * 2**CELL_LEVELS), float(np.abs(mean).max()) * 2.0 ** (VOXEL_BITS - 24)) or 1.0
     voxel = min(max(float(POSITION * _step(rate, given.by_mean.mean())), least), max(reach, least))
+    # A finer lattice does not separate equal means.
+    crowded = CROWDED + 1 - len(np.unique(mean, axis=0)) / len(mean)
     # The most important ones choose first.
     order = np.argsort(-given.by_mean.sum(axis=1), kind="stable")
     while True:
@@ -173,11 +189,13 @@ def _lattice(given: Measured, rate: float) -> tuple[PositionGrid, F32]:
         origin = np.array([o * 2.0 ** (grid.scale_exponent - 24) for o in grid.origin])
         exact = (mean[order] - origin) / unit
         cell = _rounded(exact)
-        if _late(cell).mean() <= CROWDED or voxel / 2 < least:
+        if _late(cell).mean() <= crowded or voxel / 2 < least:
             break
         voxel /= 2
     # Towards the exact position first.
     home, side = cell.copy(), np.where(exact >= cell, 1, -1)
+    # fp16 has 11 bits.
+    side <<= np.maximum(np.frexp(cell.astype(np.float64))[1] - 11, 0)
     for far in FAR:
         for step in AROUND:
             late = _late(cell)
@@ -225,8 +243,8 @@ def coded(given: Measured, rate: float) -> Coded:
     basis[COLOUR, COLOUR] = vectors[:, ::-1]
     features, decoded = np.concatenate([chosen[:, None], np.zeros((n, numbers_count), np.int64)], axis=1), table.copy()
     networks = {}
-    for name, columns in OUTPUTS.items():
-        wide = np.arange(numbers_count)[columns] if isinstance(columns, slice) else np.array(columns)
+    for name, parts in OUTPUTS.items():
+        wide = np.concatenate([np.arange(numbers_count)[part] for part in parts])
         layers, maps = network(
             steps[:, wide],
             basis[np.ix_(wide, wide)],
@@ -258,8 +276,7 @@ class Judge:
     """Pictures of the given Gaussians by some cameras, to compare with."""
 
     def __init__(self, given: Measured, cameras: Sequence[Camera], settings: Settings) -> None:
-        rows = np.unique(np.linspace(0, len(cameras) - 1, JUDGES).round().astype(int))
-        self.cameras, self.settings = [cameras[i] for i in rows], settings
+        self.cameras, self.settings = cameras, settings
         self.truth = self._drawn(given.mean, given.table)
 
     def _drawn(self, mean: F32, table: F64) -> list[F64]:
@@ -301,28 +318,52 @@ def search(given: Measured, psnr: float, judge: Judge, progress: Progress) -> tu
 # --- the scene --------------------------------------------------------------------------------------------------------
 
 
-def fitted(found: Coded, render: RenderInfo, cameras: Sequence[Camera], steps: int, progress: Progress) -> FitResult:
-    """Returns the scene, with an entropy model of some steps of training. render_model is set here."""
+def converted(
+    arrays: Mapping[str, F32],
+    cameras: Mapping[str, Sequence[Camera]],
+    render: RenderInfo,
+    stated: int,
+    psnr: float,
+    steps: int = STEPS,
+    progress: Progress | None = None,
+) -> Fast:
+    """Returns a static scene of Gaussians, whose pictures have nearly a PSNR, in dB, to theirs.
+
+    arrays: as splat_files.read_splats returns them. cameras: those that measure, and those that judge (views.py).
+    stated: how many of them the scene states. steps: of the training of the entropy model, which an interrupt ends
+    early. Raises ValueError for Gaussians that cannot be coded.
+    """
+    show = progress or (lambda stage, done, total: None)
+    red, green, blue = (value / 255 for value in render.background)
+    settings = Settings(render.low_pass, render.near_plane, render.alpha_max, (red, green, blue))
+    given = measured(arrays, cameras[TRAIN], settings, show)
+    judges = cameras[TEST] or cameras[TRAIN]
+    rows = np.unique(np.linspace(0, len(judges) - 1, JUDGES).round().astype(int))
+    found, reached = search(given, psnr, Judge(given, [judges[i] for i in rows], settings), show)
     n, count = found.features.shape
     cloud = AnchorCloud(
         found.positions,
         found.features.astype(np.float32),
-        np.zeros((n, 6), np.float32),
+        np.zeros((n, SCALINGS), np.float32),
         np.zeros((n, 1, 3), np.float32),
         np.ones((n, 1), bool),
     )
-    given = Given(
-        cloud,
-        grid=found.grid,
-        networks=found.networks,
-        render=replace(render, render_model=STATIC),
-        cameras=tuple(spread_cameras(cameras, 16)) if cameras else (),
-        base_step=(1.0, 1.0, 1.0),
+    result = fit(
+        Given(
+            cloud,
+            grid=found.grid,
+            networks=found.networks,
+            render=replace(render, render_model=STATIC),
+            cameras=tuple(spread_cameras(cameras[TRAIN], stated)),
+            # Features, and the other attributes, which are 0.
+            base_step=(1.0, 1.0, 1.0),
+        ),
+        FitSettings(
+            steps=steps, batch=BATCH, network_rate=NETWORK_RATE, entropy=EntropySettings(slices=_slices(count))
+        ),
+        progress=show,
     )
-    settings = FitSettings(
-        steps=steps, batch=BATCH, network_rate=NETWORK_RATE, entropy=EntropySettings(slices=_slices(count))
-    )
-    return fit(given, settings, progress=progress)
+    return Fast(_packed(result.scene), reached, result.report["steps"] == steps)
 
 
 def _slices(count: int) -> tuple[int, ...]:
@@ -335,7 +376,7 @@ def _slices(count: int) -> tuple[int, ...]:
     return tuple(found)
 
 
-def packed_tightly(scene: Scene) -> Scene:
+def _packed(scene: Scene) -> Scene:
     """Returns the scene with packed positions and weights, of which most of the rendering networks' are 0.
 
     Scales for these rendering networks are smaller than the root of the mean square (SPEC B.5): their few other weights

@@ -13,7 +13,8 @@ from ..render.camera import Camera
 from ..render.rasterise import Settings
 from .splats import drawn
 
-F32, F64 = NDArray[np.float32], NDArray[np.float64]
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
 
 # The columns of a table of numbers, [n, 7 + 3 H] for H harmonics: logarithms of the lengths, the logit of the opacity,
 # x, y, z of a quaternion whose w is 1, and red, green and blue of each harmonic.
@@ -102,7 +103,8 @@ def importance(
         image, _, _ = drawn(splats_of(*values), camera, settings)
         for probe in range(PROBES):
             signs = torch.randint(0, 2, image.shape, generator=generator).float() * 2 - 1
-            for own, slope in zip(found, torch.autograd.grad(image, values, signs, retain_graph=probe + 1 < PROBES)):
-                own += slope.double().numpy() ** 2 / (image.numel() * PROBES * len(cameras))
+            slopes = torch.autograd.grad(image, values, signs, retain_graph=probe + 1 < PROBES)
+            for i, slope in enumerate(slopes):
+                found[i] += slope.double().numpy() ** 2 / (image.numel() * PROBES * len(cameras))
         progress("measure", number, len(cameras))
     return found[0], found[1]

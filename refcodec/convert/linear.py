@@ -16,14 +16,15 @@ from numpy.typing import NDArray
 from ..bitstream.networks import ACCUMULATOR_BOUND, ACTIVATION_MAX, EXPONENT_MAX, WEIGHT_MAX, Layer
 from ..bitstream.splat import OUTPUT_BITS
 
-F64, I64 = NDArray[np.float64], NDArray[np.int64]
+F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
 
 MIDDLE = 512
 # The largest distance of a hidden unit from MIDDLE.
 FAR = MIDDLE - 1
 # The largest step of a hidden unit. Gains keep larger ones of features below it: SPEC 7.2 bounds a row's weights. A
-# number then reaches at least FAR * STEP_MAX / 2 from its middle.
-STEP_MAX = 1 / 16
+# number then reaches at least FAR * STEP_MAX / 2 from its middle, divided by the ratio of two steps.
+STEP_MAX = 1 / 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,8 +52,8 @@ class Linear:
 def network(steps: F64, basis: F64, middle: F64, inputs: I64, count: int, width: int) -> tuple[list[Layer], Linear]:
     """Returns a rendering network, and what its integers compute.
 
-    steps: [C, m], of each class and feature. basis: [numbers, m]. middle: [numbers]. inputs: the m features, of `count`.
-    width: of the hidden layer, at least hidden_units.
+    steps: [C, m], of each class and feature. basis: [numbers, m]. middle: [numbers]. inputs: the m features, of
+    `count`. width: of the hidden layer, at least hidden_units. Raises ValueError for numbers beyond SPEC 7.2.
     """
     classes, m = steps.shape
     gain = 2.0 ** np.ceil(np.log2(np.maximum(steps / STEP_MAX, 1)))
@@ -73,7 +74,17 @@ def network(steps: F64, basis: F64, middle: F64, inputs: I64, count: int, width:
     matrix = last[:, : classes * m].reshape(len(basis), classes, m).transpose(1, 0, 2) * gain[:, None, :]
     own = end + MIDDLE * last[:, :m].sum(axis=1)
     layers = [(first, bias), (last.astype(np.float32), end.astype(np.float32))]
-    return layers, Linear(matrix * 2.0**-OUTPUT_BITS, own * 2.0**-OUTPUT_BITS, (FAR // gain).astype(np.int64))
+    return layers, Linear(matrix * 2.0**-OUTPUT_BITS, own * 2.0**-OUTPUT_BITS, _most(gain))
+
+
+def _most(gain: F64) -> I64:
+    """Returns the largest magnitudes of features for which units of other classes stay at their ends."""
+    most = FAR // gain
+    for k in range(len(gain)):
+        for other in range(len(gain)):
+            if other != k:
+                most[k] = np.minimum(most[k], (ACTIVATION_MAX * abs(k - other) - MIDDLE) // gain[other])
+    return most.astype(np.int64)
 
 
 def hidden_units(classes: int, m: int) -> int:
