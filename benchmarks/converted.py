@@ -1,10 +1,12 @@
 """Splat files converted to C3GS, compared with SPZ and SOG of the same file.
 
-python -m benchmarks.converted FOLDER SPLATS ... --up=-y [--steps 4000] [--rates 0.001 0.004 0.015] [--write]
+python -m benchmarks.converted FOLDER SPLATS ... --up=-y [--steps 4000] [--rates 0.001 0.004 0.015] [--fast 35 40 46 52]
+    [--write]
 
-`refcodec convert` trains a scene from views of each file of SPLATS, and the scene is encoded. refcodec and
-splat-transform write SPZ and SOG. Test cameras compare renderings of all files with those of SPLATS. FOLDER keeps files
-and figures: existing ones are reused, and an interrupted training is resumed. --write writes a section of RESULTS.md.
+`refcodec convert` trains a scene from views of each file of SPLATS, and the scene is encoded. `refcodec convert --fast`
+codes the Gaussians themselves. refcodec and splat-transform write SPZ and SOG. Test cameras compare renderings of all
+files with those of SPLATS. FOLDER keeps files and figures: existing ones are reused, and an interrupted training is
+resumed. --write writes a section of RESULTS.md.
 """
 
 from __future__ import annotations
@@ -49,8 +51,8 @@ OWN, TOOL = "refcodec", f"splat-transform {VERSION}"
 FORMATS = (".spz", ".sog")
 # lambda_r of the training runs.
 RATES = (0.001, 0.004, 0.015)
-# Factors of --fast.
-COARSENESS = (0.5, 1.0, 2.0, 4.0)
+# The qualities of convert --fast, dB.
+QUALITIES = (35.0, 40.0, 46.0, 52.0)
 # Training runs at a time.
 JOBS = 2
 
@@ -157,23 +159,20 @@ def coded_record(source: Source, rate: float, steps: int, folder: Path) -> Recor
     return kept(folder / f"{name}.json", made)
 
 
-def fast_record(source: Source, coarseness: float, folder: Path) -> Record:
-    """Returns bytes and measures of the file that convert --fast and encode make, and the time of both.
+def fast_record(source: Source, psnr: float, folder: Path) -> Record:
+    """Returns bytes and measures of the file that convert --fast makes, and the seconds of this command.
 
     Raises SystemExit with the message of a failing command.
     """
-    name = f"{source.name}-fast-{coarseness:g}"
+    name = f"{source.name}-fast-{psnr:g}"
 
     def made() -> Record:
-        scene, file = folder / name, folder / f"{name}.c3gs"
-        start = time.perf_counter()
-        words = ["--fast", "--coarseness", f"{coarseness:g}", f"--up={source.up}"]
-        refcodec("convert", str(source.file), "-o", str(scene), *words)
-        refcodec("encode", str(scene), "-o", str(file))
-        seconds = time.perf_counter() - start
-        data = file.read_bytes()
+        file, start = folder / f"{name}.c3gs", time.perf_counter()
+        refcodec("convert", str(source.file), "-o", str(file), "--fast", "--psnr", f"{psnr:g}", f"--up={source.up}")
+        seconds, data = time.perf_counter() - start, file.read_bytes()
         view = View(parse(data).scene)
-        return {"bytes": len(data), "anchors": len(view.masks), "seconds": seconds, **source.compared(view.draw)}
+        own: dict[str, Any] = {"bytes": len(data), "anchors": len(view.masks), "seconds": seconds}
+        return {**own, **source.compared(view.draw)}
 
     return kept(folder / f"{name}-{source.views}-{source.size}px.json", made)
 
@@ -183,14 +182,12 @@ def fast_record(source: Source, coarseness: float, folder: Path) -> Record:
 NOTE = (
     "Test cameras compare the eight-bit renderings of all files with those of the splat file, by scikit-image. SPZ and",
     "SOG are read by the program that wrote them, and rendered as plain 3DGS.",
-    f"Two training runs in parallel, one thread each. {TOOL} is a third-party program. Seconds of --fast are those of",
-    "the commands convert and encode.",
+    f"Two training runs in parallel, one thread each. {TOOL} is a third-party program. The seconds of --fast",
+    "are those of the whole command with one thread.",
 )
 
 
-def _rows(
-    source: Source, packed: dict[tuple[str, str], Record], quick: dict[float, Record], coded: dict[float, Record]
-) -> list[list[str]]:
+def _rows(source: Source, packed: dict[tuple[str, str], Record], coded: dict[str, Record]) -> list[list[str]]:
     own = source.file.stat().st_size
     rows = [[source.file.name, "", f"{own:,}", "1", "", "", f"{len(source.arrays['mean']):,} Gaussians", ""]]
 
@@ -199,13 +196,14 @@ def _rows(
         return [label, by, f"{found['bytes']:,}", share, f"{found['psnr']:.2f}", f"{found['ssim']:.4f}", what, seconds]
 
     rows += [row(suffix, maker, found) for (suffix, maker), found in packed.items()]
-    named = [(f"--fast --coarseness {factor:g}", found) for factor, found in quick.items()]
-    for label, found in [*named, *((f"lambda_r {rate:g}", found) for rate, found in coded.items())]:
-        rows.append(row(".c3gs", label, found, f"{found['anchors']:,} anchors", f"{found['seconds']:.0f}"))
+    for by, found in coded.items():
+        rows.append(row(".c3gs", by, found, f"{found['anchors']:,} anchors", f"{found['seconds']:.0f}"))
     return rows
 
 
-def section(sources: Sequence[Source], rates: Sequence[float], steps: int, folder: Path) -> list[str]:
+def section(
+    sources: Sequence[Source], rates: Sequence[float], qualities: Sequence[float], steps: int, folder: Path
+) -> list[str]:
     """Returns the lines of the section. Raises ToolError, UsageError, ValueError, OSError and SystemExit."""
     torch.set_num_threads(1)
     numba.set_num_threads(1)
@@ -219,12 +217,12 @@ def section(sources: Sequence[Source], rates: Sequence[float], steps: int, folde
         places = [folder / f"{source.name}-{maker.partition(' ')[0]}{suffix}" for suffix, maker in makers]
         check_apart([*places, *(folder / f"{place.name}.ply" for place in places)], [s.file for s in sources])
         packed = {(suffix, maker): packed_record(source, suffix, maker, folder) for suffix, maker in makers}
-        quick = {factor: fast_record(source, factor, folder) for factor in COARSENESS}
         source.truth  # noqa: B018 (drawn once, before threads ask for it)
+        fast = {f"--fast --psnr {psnr:g}": fast_record(source, psnr, folder) for psnr in qualities}
         with ThreadPoolExecutor(JOBS) as pool:
             found = pool.map(lambda rate, of=source: coded_record(of, rate, steps, folder), rates)
-            coded = dict(zip(rates, found, strict=True))
-        lines += [f"### {source.name}", "", *table(head, _rows(source, packed, quick, coded)), ""]
+            coded = dict(zip([f"lambda_r {rate:g}" for rate in rates], found, strict=True))
+        lines += [f"### {source.name}", "", *table(head, _rows(source, packed, fast | coded)), ""]
     return lines
 
 
@@ -239,12 +237,13 @@ def main(words: list[str] | None = None) -> int:
     parser.add_argument("--views", type=int, default=200, help="training pictures (200)")
     parser.add_argument("--size", type=int, default=400, help="their sides in pixels (400)")
     parser.add_argument("--steps", type=int, default=4000, help="of each training (4000)")
-    parser.add_argument("--rates", type=float, nargs="+", default=list(RATES), metavar="L", help="lambda_r")
+    parser.add_argument("--fast", type=float, nargs="*", default=list(QUALITIES), metavar="DB", help="qualities, dB")
+    parser.add_argument("--rates", type=float, nargs="*", default=list(RATES), metavar="L", help="lambda_r")
     parser.add_argument("--write", action="store_true", help="write the section of benchmarks/RESULTS.md")
     options = parser.parse_args(words)
     sources = [Source(file, options.up, options.views, options.size) for file in options.splats]
     try:
-        lines = section(sources, options.rates, options.steps, options.folder)
+        lines = section(sources, options.rates, options.fast, options.steps, options.folder)
     except (ToolError, UsageError, ValueError, OSError) as error:
         print(printable(str(error)), file=sys.stderr)
         return USAGE
@@ -252,7 +251,8 @@ def main(words: list[str] | None = None) -> int:
     if options.write:
         shown = ["python -m benchmarks.converted FOLDER", *(s.file.name for s in sources), f"--up={options.up}"]
         shown += [f"--views {options.views} --size {options.size} --steps {options.steps}"]
-        shown += ["--rates", *(f"{rate:g}" for rate in options.rates), "--write"]
+        shown += ["--rates", *(f"{rate:g}" for rate in options.rates)]
+        shown += ["--fast", *(f"{psnr:g}" for psnr in options.fast), "--write"]
         made = ["```", INSTALL, " ".join(shown), "```", "", machine("torch"), *NOTE, ""]
         write_section("converted", "Converted splat files", [*made, *lines])
     return DONE

@@ -22,11 +22,11 @@ from .shared import (
     UsageError,
     add_command,
     check_scene_output,
-    length,
     needs,
     note_compiling,
     positive,
     progress_bar,
+    quality,
     read_photographs_of,
     seed,
     weight,
@@ -34,7 +34,10 @@ from .shared import (
 )
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from ..bitstream.scene import Scene
+    from ..convert.splats import Splats
     from ..render.camera import Camera
     from ..train.settings import TrainSettings
 
@@ -43,6 +46,8 @@ _PACKAGES = ("torch", "numba", "scipy", "PIL", "skimage")
 # Splat files (refcodec.convert.splat_files), and the file of a SOG folder. Any other source is a model folder.
 _SPLATS, _SOG = (".ply", ".spz", ".sog", ".glb"), "meta.json"
 _VIEWS = 200
+# Options of a training that --fast does not have.
+_TRAINED = ("pictures", "rate", "seed", "resume", "background", "holdout", "anchors", "voxel", "set")
 
 
 def _convert(arguments: argparse.Namespace) -> int:
@@ -54,21 +59,19 @@ def _convert(arguments: argparse.Namespace) -> int:
         raise UsageError(f"{source} is neither a model folder nor a splat file ({', '.join(_SPLATS)})")
     if splats and arguments.appearance is not None:
         raise UsageError(f"--appearance applies only to model folders: omit it for {source}")
-    drawn = {name: getattr(arguments, name) for name in ("views", "cameras", "pictures", "steps", "rate", "size")}
+    drawn = {
+        name: getattr(arguments, name) for name in ("views", "cameras", "pictures", "steps", "rate", "size", "psnr")
+    }
+    drawn["fast"] = arguments.fast or None
     given = next((name for name, value in drawn.items() if value is not None), None)
     if not splats and given:
         raise UsageError(f"--{given} applies only to splat files: omit it for {source}")
-    if arguments.fast and not splats:
-        raise UsageError(f"--fast applies only to splat files: omit it for {source}")
-    if arguments.fast and (given or arguments.resume or arguments.static):
-        option = given or ("resume" if arguments.resume else "static")
-        raise UsageError(f"--fast neither draws nor trains: omit --{option}")
-    if arguments.coarseness is not None and not arguments.fast:
-        raise UsageError("--coarseness is that of --fast: add --fast")
+    if arguments.psnr is not None and not arguments.fast:
+        raise UsageError("--psnr applies only to --fast: add it, or choose the quality of a training with --rate")
     try:
-        if splats and arguments.fast:
-            return _fast(arguments, splats)
-        return _train_from_splats(arguments, splats) if splats else _convert_model(arguments)
+        if splats:
+            return _convert_fast(arguments, splats) if arguments.fast else _train_from_splats(arguments, splats)
+        return _convert_model(arguments)
     except ModuleNotFoundError as error:
         raise needs("convert", "convert", error, _PACKAGES) from None
 
@@ -135,6 +138,49 @@ def fitted(arguments: argparse.Namespace) -> tuple[Scene, int]:
 # --- a file of splats -------------------------------------------------------------------------------------------------
 
 
+def _convert_fast(arguments: argparse.Namespace, source: Path) -> int:
+    """Converts a splat file to a file of a static scene, without a training of the scene."""
+    from ..bitstream.codec import emit
+    from ..bitstream.header import SIGNATURE, RenderInfo
+    from ..convert import fast, views
+    from ..convert.splat_files import read_splats, splats_up
+    from ..convert.splats import tensors
+    from ..files.outputs import Kind, check_apart, check_file
+    from ..files.stage import write_file
+    from ..render.camera import STATED, nearest_axis
+
+    for name in _TRAINED:
+        if getattr(arguments, name):
+            raise UsageError(f"--{name} applies only to a training: omit it, or omit --fast")
+    output = Path(arguments.output)
+    check_file(output, Kind.signed("a C3GS file", SIGNATURE))
+    check_apart([output], [source])
+    cameras = _cameras_of(source, arguments.cameras)
+    arrays = read_splats(source)
+    note_compiling()
+    up = views.AXES[arguments.up] if arguments.up else splats_up(source)
+    chosen = _chosen(arguments, cameras, tensors(arrays), up, arguments.size or str(fast.SIDE), fast.VIEWS)
+    render = RenderInfo(up_axis=nearest_axis(up), near_plane=views.near_plane(tensors(arrays)))
+    psnr = fast.PSNR if arguments.psnr is None else arguments.psnr
+    with progress_bar(arguments.progress) as progress:
+        try:
+            found = fast.converted(
+                arrays, chosen, render, STATED if cameras else 1, psnr, arguments.steps or fast.STEPS, progress
+            )
+            data = emit(found.scene, progress=progress)
+        except ValueError as error:
+            raise UsageError(f"{source} cannot be converted: {error}") from None
+    write_file(output, data)
+    count = f"{found.scene.anchor_count:,} of {len(arrays['mean']):,} Gaussians"
+    say(f"{output}: {len(data):,} bytes, {count}, {found.psnr:.1f} dB to {source}")
+    if abs(found.psnr - psnr) > 1:
+        note(f"refcodec: {psnr:g} dB were not reached: the file has the nearest quality that was found")
+    if not found.whole:
+        note("refcodec: stopped early; the file is written, but larger than necessary")
+        return statuses.INTERRUPTED
+    return statuses.DONE
+
+
 def _train_from_splats(arguments: argparse.Namespace, source: Path) -> int:
     """Draws a splat file from cameras, and trains a scene from these pictures."""
     from ..folder.layout import SceneFolderError
@@ -196,42 +242,6 @@ def _train_from_splats(arguments: argparse.Namespace, source: Path) -> int:
     return statuses.DONE
 
 
-def _fast(arguments: argparse.Namespace, source: Path) -> int:
-    """Writes a splat file as a static scene, without pictures."""
-    from ..bitstream.dimensions import STATIC
-    from ..bitstream.header import RenderInfo
-    from ..convert import views
-    from ..convert.fast import fast
-    from ..convert.splat_files import read_splats, splats_up
-    from ..convert.splats import tensors
-    from ..folder.write import write_folder
-    from ..photographs.images import parse_background
-    from ..render.camera import STATED, nearest_axis, spread_cameras
-
-    output = Path(arguments.output)
-    check_scene_output(output, [source])
-    arrays = read_splats(source)
-    stated = _cameras_of(source, None)
-    if not stated:
-        upwards = views.AXES[arguments.up] if arguments.up else splats_up(source)
-        stated = views.orbit(tensors(arrays), upwards, views.SIDE, STATED, 1)[views.TRAIN]
-    cameras = spread_cameras(stated, STATED)
-    up = train_options.up_axis(arguments)
-    try:
-        render = RenderInfo(
-            background=parse_background(arguments.background or "black") or (0, 0, 0),
-            up_axis=nearest_axis(splats_up(source)) if up is None else up,
-            render_model=STATIC,
-        )
-        with progress_bar(arguments.progress) as progress:
-            found = fast(arrays, render, arguments.coarseness or 1.0, cameras, progress)
-    except ValueError as error:
-        raise UsageError(f"{source} cannot be converted: {error}") from None
-    write_folder(found, output)
-    say(f"{output}: {found.anchor_count:,} of {len(arrays['mean']):,} Gaussians; next: refcodec encode {output}")
-    return statuses.DONE
-
-
 def _check_pictures(pictures: Path, output: Path) -> None:
     """Raises UsageError unless pictures can be kept in a new folder outside the scene."""
     if os.path.lexists(pictures):
@@ -283,22 +293,38 @@ def _draw(
     from ..convert import views
     from ..convert.splat_files import read_splats, splats_up
     from ..convert.splats import tensors
-    from ..photographs.images import parse_background, parse_size
+    from ..photographs.images import parse_background
 
     try:
-        size, background = parse_size(settings.size), parse_background(settings.background)
+        background = parse_background(settings.background)
     except ValueError as error:
         raise UsageError(str(error)) from None
-    side = max(size) if isinstance(size, tuple) else size
     splats = tensors(read_splats(source))
-    count = arguments.views or _VIEWS
-    if cameras:
-        chosen = views.given(cameras, count, side)
-    else:
-        up = views.AXES[arguments.up] if arguments.up else splats_up(source)
-        chosen = views.orbit(splats, up, side or views.SIDE, count, max(count // views.TEST_EVERY, 1))
+    up = views.AXES[arguments.up] if arguments.up else splats_up(source)
+    chosen = _chosen(arguments, cameras, splats, up, settings.size, _VIEWS)
     with progress_bar(arguments.progress) as progress:
         views.write_photographs(splats, chosen, folder, progress, background)
+
+
+def _chosen(
+    arguments: argparse.Namespace, cameras: list[Camera], splats: Splats, up: NDArray[Any], size: str, count: int
+) -> dict[str, list[Camera]]:
+    """Returns cameras by purpose: a selection of the given ones, or else cameras around the splats.
+
+    size, count: the default of --views, and the sides of pictures. Raises UsageError.
+    """
+    from ..convert import views
+    from ..photographs.images import parse_size
+
+    try:
+        sides = parse_size(size)
+    except ValueError as error:
+        raise UsageError(str(error)) from None
+    side = max(sides) if isinstance(sides, tuple) else sides
+    count = arguments.views or count
+    if cameras:
+        return views.given(cameras, count, side)
+    return views.orbit(splats, up, side or views.SIDE, count, max(count // views.TEST_EVERY, 1))
 
 
 def add(commands: Any) -> None:
@@ -312,7 +338,8 @@ def add(commands: Any) -> None:
             "convert output/model -o scene",
             "convert output/model -o scene --appearance 0",
             "convert scene.ply -o scene --views 200",
-            "convert scene.ply -o scene --fast",
+            "convert scene.ply -o scene.c3gs --fast",
+            "convert scene.ply -o scene.c3gs --fast --psnr 40",
             "convert scene.spz -o scene --up=+y --size 800 --rate 0.002 --steps 8000",
         ],
         "SOURCE is a model folder of Scaffold-GS, HAC, HAC++ or CAT-3DGS, or one of its folders iteration_N.\n"
@@ -320,16 +347,28 @@ def add(commands: Any) -> None:
         "Or SOURCE is a splat file: .ply (of 3DGS, or compressed by PlayCanvas), .spz, .sog or .glb, or a SOG folder\n"
         "with meta.json. It is rendered from the cameras in its cameras.json, or else from cameras around it, whose\n"
         "up axis is that of --up, of a .glb file, or -y. A scene is trained from these pictures.\n"
-        "With --fast, a splat file becomes a static scene of the same Gaussians, without pictures and training. This\n"
-        "takes a minute instead of many, and the file is larger.\n"
         "Options that train also has work as there.\n"
+        "With --fast, the Gaussians of a splat file themselves are coded, as a static scene, in about a minute. The\n"
+        "output is a C3GS file then. Pictures only measure which numbers matter.\n"
         "No code of a model runs: pickles are checked first, and TorchScript is read but not executed.\n"
         "Needs: pip install 'refcodec[convert]'.",
         writes=True,
         parents=[train_options.parser()],
     )
     convert.add_argument("source", metavar="SOURCE", help="a model folder, or a splat file")
-    convert.add_argument("-o", "--output", metavar="SCENE_DIR", required=True, help="the scene folder to write")
+    convert.add_argument(
+        "-o",
+        "--output",
+        metavar="SCENE_DIR",
+        required=True,
+        help="the scene folder to write; with --fast the C3GS file",
+    )
+    convert.add_argument(
+        "--fast", action="store_true", help="splats: code the Gaussians, without a training of a scene"
+    )
+    convert.add_argument(
+        "--psnr", type=quality, metavar="DB", help="--fast: PSNR of pictures to those of the splats (default: 46)"
+    )
     convert.add_argument(
         "--appearance",
         type=whole,
@@ -337,17 +376,7 @@ def add(commands: Any) -> None:
         help="model: number of the training camera whose appearance the scene gets (default: the mean of all)",
     )
     convert.add_argument(
-        "--fast", action="store_true", help="splats: keep the Gaussians, with coarser numbers, and train nothing"
-    )
-    convert.add_argument(
-        "--coarseness",
-        type=length,
-        metavar="X",
-        help="splats: with --fast, a factor of all quantisation steps; a larger one makes the file smaller and less "
-        "accurate (default: 1)",
-    )
-    convert.add_argument(
-        "--views", type=positive, metavar="N", help=f"splats: pictures to train from (default: {_VIEWS})"
+        "--views", type=positive, metavar="N", help=f"splats: pictures to train from (default: {_VIEWS}; --fast: 32)"
     )
     convert.add_argument("--cameras", metavar="FILE", help="splats: a cameras.json as 3DGS writes it")
     convert.add_argument("--pictures", metavar="DIR", help="splats: keep the pictures, as photographs for eval")

@@ -385,6 +385,14 @@ def fit_rate(text: str) -> float:
     return value
 
 
+def quality(text: str) -> float:
+    """Returns a PSNR in dB, from 20 to 70."""
+    value = float(text)
+    if not 20 <= value <= 70:
+        raise argparse.ArgumentTypeError(f"must be from 20 to 70, not {text}")
+    return value
+
+
 def add_command(
     commands: Any,
     name: str,

@@ -1,208 +1,394 @@
-"""A file of plain Gaussians as a static scene, without pictures: each Gaussian is an anchor (SPEC.md 9.4).
+"""A static scene (SPEC.md 9.4) from plain 3D Gaussians, without a training of the scene: transform coding.
 
-The numbers of a Gaussian are rounded to steps, and the entropy model is fitted to the symbols. The rendering networks
-are linear: a hidden unit is a feature plus a constant that keeps it positive. Features are
-
-- the principal components of the harmonics of all Gaussians: they are orthonormal, so that equal errors cost the same;
-- the logit of the opacity;
-- the vector part of the quaternion over its scalar part. Axes are permuted so that the scalar part is largest.
-
-Scalings are the logarithms of the lengths, and the offset is what fp16 leaves of the mean.
+Each Gaussian becomes an anchor at its mean. The rendering networks are linear decoders (linear.py) of the other
+numbers, in steps that suit their importance. Only the entropy model is learned.
 """
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
-from ..bitstream.cameras import NamedCamera
-from ..bitstream.dimensions import RENDERING
+from ..bitstream.dimensions import RENDERING, SCALINGS, STATIC, layers_of
 from ..bitstream.header import PositionGrid, RenderInfo
-from ..bitstream.networks import ACTIVATION_MAX, Layer
+from ..bitstream.limits import MAIN, PROFILES
+from ..bitstream.networks import Layer
+from ..bitstream.positions import CELL_LEVELS
 from ..bitstream.scene import Scene
 from ..bitstream.splat import OUTPUT_BITS
 from ..encoder.cloud import AnchorCloud
 from ..encoder.positions import choose_grid
-from ..train.fit import Progress, fit
+from ..encoder.quantise import packed
+from ..render.camera import Camera, spread_cameras
+from ..render.rasterise import Settings
+from ..train.fit import fit
 from ..train.fit_input import Given
 from ..train.settings import EntropySettings, FitSettings
-from .splat_arrays import Arrays
+from .importance import COLOUR, LENGTHS, LOGIT, TURN, importance, numbers, splats_of
+from .linear import hidden_units, network
+from .splats import drawn
+from .views import TEST, TRAIN
 
+F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
+Progress = Callable[[str, int, int], None]
 
-# The steps of step 1: of harmonics, logits, vector parts of quaternions and logarithms of lengths. A step of positions
-# is this share of the longest axis that is shorter than those of nine in ten Gaussians. For playbot_lod3, a bit of each
-# kind is then worth the same.
-HARMONICS, LOGIT, TURN, LENGTH, POSITION, SMALL = 0.12, 0.3, 0.035, 0.17, 0.08, 0.1
-# fp16 has all integers up to this one. The share of coordinates on each side that may be beyond, and fp16's range.
-FP16_INTEGERS, OUTSIDE, FP16_MOST = 2048, 0.01, 60000
-# How far Gaussians may move from their corner, in neighbours.
-NEIGHBOURS = 16
-# Gaussians whose opacity is below 1/255 are invisible (SPEC 14.5).
-LOGIT_LEAST = math.log(1 / 254)
-# Opacities above alpha_max make no difference.
-LOGIT_MOST = 5.0
-# The fit of the entropy model, which has no planes: they save 0.5 % of a file, and take as long again.
-STEPS, BATCH = 600, 2048
+# The most classes of anchors by importance. More of them save no bytes (own measurement).
+CLASSES = 4
+# Below this opacity, a Gaussian is not drawn (SPEC 14.5).
+OPACITY_LEAST = 1 / 255
+# Larger logits give nearly the same pictures, as an opacity at a pixel is at most alpha_max (SPEC 14.5). Importance is
+# measured with logits up to the second bound, because opacities at that maximum have no derivative.
+LOGIT_MAX, LOGIT_MEASURED = 8.0, 4.0
+# A Gaussian is dropped if its absence costs less than this many bits: that many are saved, but absences add up.
+BITS = 12
+# The steps of positions, relative to those of equal slope: an error moves whole Gaussians, and derivatives of pictures
+# underestimate it (own measurement).
+POSITION = 0.4
+# The largest steps, by kind: derivatives say nothing about larger errors.
+STEP_MAX = {"lengths": 0.5, "logit": 1.5, "turn": 0.25, "colour": 1.0}
+# The smallest weight, which keeps quotients finite.
+TINY = 1e-300
+KINDS = {"lengths": LENGTHS, "logit": LOGIT, "turn": TURN, "colour": COLOUR}
+# The columns that each rendering network decodes. The covariance network also has w, which is 1.
+OUTPUTS = {"opacity": (LOGIT,), "covariance": (LENGTHS, TURN), "colour": (COLOUR,)}
+# Features of slices before those of colours: the class, lengths and logit, turn.
+SLICES = (1, 4, 3)
+COLOURS = (3, 3, 6, 12, 24)
+# The share of weights of 0 from which on the smallest scale is the best one.
+SPARSE = 0.5
+# The search for the quality: cameras, tries, and the largest difference in dB that ends it. The quality falls by
+# about SLOPE dB where lambda is tenfold.
+JUDGES, TRIES, TOLERANCE, SLOPE = 8, 6, 0.05, 9.0
+# Positions: the share of means that choose the middle of the lattice, bits of its unit, the share of taken cells that
+# makes it finer, and the moves out of a taken cell, which are tried in this order.
+INLIERS, VOXEL_BITS, CROWDED = 0.95, 4, 0.1
+AROUND, FAR = [np.array(step) for step in sorted(np.ndindex(2, 2, 2), key=sum)[1:]], (1, -1, 2, -2, 3, -3)
+# The entropy model: steps of training, and what differs from a fit of longer training.
+STEPS, BATCH, NETWORK_RATE = 600, 2048, 0.02
+# Cameras around the Gaussians that measure, and the sides of their images in pixels.
+VIEWS, SIDE = 32, 400
+# The default quality in dB.
+PSNR = 46.0
 
 
-def fast(
-    arrays: Arrays,
-    render: RenderInfo,
-    step: float = 1.0,
-    cameras: Sequence[NamedCamera] = (),
-    progress: Progress | None = None,
-) -> Scene:
-    """Returns a static scene of Gaussians.
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """Gaussians to code, with what errors in them cost.
 
-    arrays: of read_splats. render: the scene's render information, of a static scene. step: a factor of all steps; a
-    larger one makes the file smaller and less accurate. cameras: those that the scene states. Raises ValueError for
-    Gaussians that no file can hold.
+    mean [n, 3], table [n, numbers] (importance.py); the importance of each number, of means and of the table; and the
+    squared error of pictures by the absence of each Gaussian, [n].
     """
-    arrays = {name: values[arrays["opacity"] >= LOGIT_LEAST] for name, values in arrays.items()}
-    if not len(arrays["mean"]):
-        raise ValueError("none of its Gaussians is visible")
-    lengths, turn = _turned(arrays["scale"].astype(np.float64), arrays["quaternion"].astype(np.float64))
-    harmonics = np.concatenate([arrays["base"][:, None], arrays["rest"]], axis=1, dtype=np.float64)
-    width = harmonics.shape[1] * 3
-    middle, basis = _components(harmonics.reshape(-1, width))
-    values = np.concatenate(
-        [(harmonics.reshape(-1, width) - middle) @ basis, arrays["opacity"][:, None].clip(max=LOGIT_MOST), turn], axis=1
-    )
-    steps = step * np.array([*[HARMONICS] * width, LOGIT, *[TURN] * 3])
-    # A feature is the symbol itself, and its middle is 0.
-    centre = np.rint((values.max(axis=0) + values.min(axis=0)) / 2 / steps)
-    most = ACTIVATION_MAX // 2
-    features = (np.rint(values / steps) - centre).clip(-most, most)
-    # A hidden unit uses its whole range, so that the weights that read it are small.
-    gain = 2.0 ** np.floor(np.log2(most / np.abs(features).max(axis=0).clip(1)))
-    networks = _networks(basis, middle, steps / gain, centre * gain, gain)
-    small = step * POSITION * math.exp(float(np.quantile(lengths.max(axis=1), SMALL)))
-    grid, positions = _lattice(arrays["mean"].astype(np.float64), small)
-    cloud = AnchorCloud(
-        positions.astype(np.float32),
-        features.astype(np.float32),
-        np.concatenate([np.zeros_like(lengths), lengths], axis=1).astype(np.float32),
-        (arrays["mean"] - positions).astype(np.float32)[:, None],
-        np.ones((len(positions), 1), bool),
-    )
-    given = Given(
-        cloud,
-        grid=grid,
-        networks=networks,
-        render=render,
-        cameras=tuple(cameras),
-        base_step=(1.0, float(np.float32(step * LENGTH)), float(np.float32(small))),
-    )
-    settings = FitSettings(steps=STEPS, batch=BATCH, entropy=EntropySettings(channels=0))
-    return fit(given, settings, progress=progress).scene
+
+    mean: F32
+    table: F64
+    by_mean: F64
+    by_number: F64
+    absence: F64
+
+    def of(self, rows: NDArray[np.bool_]) -> Measured:
+        """Returns some of the Gaussians."""
+        return Measured(*(values[rows] for values in vars(self).values()))
 
 
-def _lattice(mean: F64, step: float) -> tuple[PositionGrid, F64]:
-    """Returns a grid, and the corner of its lattice that is nearest to each mean, [N, 3].
+@dataclass(frozen=True, eq=False)
+class Coded:
+    """Symbols of some Gaussians, and the networks that decode them.
 
-    step: of positions. The lattice is as fine, or as fine as fp16 allows for nearly all Gaussians. It is coarser for
-    those that are far outside.
+    positions: float32 [n, 3], on the lattice. features: int64 [n, F]. table: the decoded numbers, [n, numbers].
     """
-    low, high = np.quantile(mean, [OUTSIDE, 1 - OUTSIDE], axis=0)
-    voxel = max(step, float((high - low).max()) / (2 * FP16_INTEGERS), float(np.ptp(mean, axis=0).max()) / FP16_MOST)
-    grid = choose_grid(mean.astype(np.float32), voxel)
-    unit = grid.scale_mantissa * 2.0**grid.scale_exponent
-    origin = np.array(grid.origin, np.float64) * 2.0 ** (grid.scale_exponent - 24)
-    corners = _distinct(np.rint((mean - origin) / unit).astype(np.float16))
-    return grid, origin + corners.astype(np.float64) * unit
+
+    positions: F32
+    grid: PositionGrid
+    features: I64
+    networks: dict[str, list[Layer]]
+    table: F64
 
 
-def _distinct(corners: NDArray[np.float16]) -> NDArray[np.float16]:
-    """Returns corners of which each has few Gaussians, [N, 3], because packed positions are distinct (SPEC 5.14).
+@dataclass(frozen=True)
+class Fast:
+    """A converted scene. psnr: of its pictures, dB. whole: whether its entropy model is trained to the end."""
 
-    All but the first of a corner move to its neighbours, ever farther away. Offsets undo this.
+    scene: Scene
+    psnr: float
+    whole: bool
+
+
+def measured(arrays: Mapping[str, F32], cameras: Sequence[Camera], settings: Settings, progress: Progress) -> Measured:
+    """Returns the Gaussians that can be seen at all, measured in the pictures of some cameras.
+
+    arrays: as splat_files.read_splats returns them.
     """
-    found = corners.copy()
-    random = np.random.default_rng(0)
-    for reach in range(1, NEIGHBOURS):
-        _, first = np.unique(found, axis=0, return_index=True)
-        moved = np.setdiff1d(np.arange(len(found)), first)
-        if not len(moved):
-            break
-        away = random.integers(-reach, reach + 1, (len(moved), 3))
-        found[moved] = corners[moved] + away * np.maximum(np.spacing(np.abs(corners[moved])), np.float16(1))
-    return found + np.float16(0)
+    seen = 1 / (1 + np.exp(-arrays["opacity"].astype(np.float64))) >= OPACITY_LEAST
+    seen |= ~seen.any()
+    chosen = {name: values[seen] for name, values in arrays.items()}
+    table = numbers(chosen)
+    column = LOGIT.start
+    table[:, column] = np.minimum(table[:, column], LOGIT_MAX)
+    limited = table.copy()
+    limited[:, column] = np.minimum(table[:, column], LOGIT_MEASURED)
+    by_mean, by_number = importance(chosen["mean"], limited, cameras, settings, progress)
+    opacity, own = (1 / (1 + np.exp(-values[:, column])) for values in (limited, table))
+    # A pixel is linear in an opacity.
+    absence = by_number[:, column] / (1 - opacity) ** 2
+    by_number[:, column] *= (own * (1 - own) / (opacity * (1 - opacity))) ** 2
+    return Measured(chosen["mean"], table, by_mean, by_number, absence)
 
 
-def _components(values: F64) -> tuple[F64, F64]:
-    """Returns the mean of rows, and their principal components as columns, the largest first."""
-    middle = values.mean(axis=0)
-    _, basis = np.linalg.eigh((values - middle).T @ (values - middle))
-    return middle, basis[:, ::-1]
+# --- symbols ----------------------------------------------------------------------------------------------------------
 
 
-def _turned(lengths: F64, quaternion: F64) -> tuple[F64, F64]:
-    """Returns equal Gaussians: their lengths [N, 3], and the vector part of their quaternions over the scalar one.
-
-    Of the 24 rotations that permute the axes, the one whose product has the largest scalar part is taken. Thus the
-    results are between -1 and 1.
-    """
-    q = quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
-    best = np.zeros((len(q), 4))
-    order = np.zeros((len(q), 3), np.int64)
-    for turn, axes in _permutations():
-        # The scalar part of q * turn.
-        scalar = q[:, 0] * turn[0] - q[:, 1:] @ turn[1:]
-        better = np.abs(scalar) > np.abs(best[:, 0])
-        vector = q[:, :1] * turn[1:] + turn[0] * q[:, 1:] + np.cross(q[:, 1:], turn[1:])
-        best[better] = np.concatenate([scalar[:, None], vector], axis=1)[better]
-        order[better] = axes
-    return np.take_along_axis(lengths, order, axis=1), best[:, 1:] / best[:, :1]
+def _classes(weights: Mapping[str, F64], most: int) -> I64:
+    """Returns the class of each Gaussian, 0 for the most important ones, int64 [n]. weights: [n], by kind."""
+    shares = [np.log2(np.maximum(w / (w.mean() or 1.0), 1e-6)) for name, w in weights.items() if name != "logit"]
+    place = np.mean(shares, axis=0)
+    centres = np.quantile(place, (np.arange(most, 0, -1) - 0.5) / most)
+    found = np.zeros(len(place), np.int64)
+    for _ in range(20):
+        found = np.abs(place[:, None] - centres).argmin(axis=1)
+        centres = np.array([place[found == k].mean() if (found == k).any() else c for k, c in enumerate(centres)])
+    # Without the empty ones.
+    return np.unique(found, return_inverse=True)[1].reshape(-1)
 
 
-def _permutations() -> list[tuple[F64, list[int]]]:
-    """Returns the 24 rotations of a cube: a unit quaternion, and the axis that becomes each axis."""
-    found = []
-    for axes in itertools.permutations(range(3)):
-        for signs in itertools.product((1, -1), repeat=3):
-            matrix = np.zeros((3, 3))
-            matrix[list(axes), range(3)] = signs
-            if np.linalg.det(matrix) > 0:
-                # Half turns have no scalar part, and the eigenvector of 1 is the axis of every turn.
-                angle = math.acos(max(min((np.trace(matrix) - 1) / 2, 1.0), -1.0))
-                skew = np.array([matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1]])
-                if np.linalg.norm(skew) < 1e-9:
-                    values, vectors = np.linalg.eigh(matrix)
-                    axis = vectors[:, np.argmax(values)]
-                else:
-                    axis = skew / np.linalg.norm(skew)
-                found.append((np.array([math.cos(angle / 2), *(math.sin(angle / 2) * axis)]), list(axes)))
+def _step(rate: float, weight: F64 | float) -> F64:
+    """Returns the step whose squared error, step^2 / 12 weight, has the slope -rate against its bits."""
+    found: F64 = np.sqrt(6 * rate / math.log(2) / np.maximum(weight, TINY))
     return found
 
 
-def _networks(basis: F64, middle: F64, steps: F64, centre: F64, gain: F64) -> dict[str, list[Layer]]:
-    """Returns the rendering networks, which take features back to the numbers of a Gaussian.
+def _lattice(given: Measured, rate: float) -> tuple[PositionGrid, F32]:
+    """Returns the grid of positions, and the positions on its lattice, float32 [n, 3].
 
-    basis [C, C], middle [C]: of the harmonics. steps, centre: [F], of the hidden units, each of which is gain [F] times
-    its feature.
+    No two positions are equal, as far as possible: a chunk of equal ones cannot be packed (SPEC 6.11).
     """
-    width, count = len(middle), len(steps)
-    outputs = {
-        "opacity": (np.eye(1, count, width), np.zeros(1)),
-        # The scalar part of the quaternion is 1.
-        "covariance": (
-            np.concatenate([np.zeros((4, count)), np.eye(3, count, width + 1)]),
-            np.array([0.0, 0, 0, 1, 0, 0, 0]),
+    mean = given.mean.astype(np.float64)
+    # The few Gaussians far out do not decide where fp16 is exact.
+    away = np.abs(mean - np.median(mean, axis=0)).max(axis=1)
+    core = mean[away <= np.quantile(away, INLIERS)]
+    reach = float(np.abs(mean - (core.min(axis=0) + core.max(axis=0)) / 2).max())
+    # All cells are within the tree. Multiples of a mantissa of VOXEL_BITS bits are exact in float32.
+    least = max(reach / (0.4 * 2**CELL_LEVELS), float(np.abs(mean).max()) * 2.0 ** (VOXEL_BITS - 24)) or 1.0
+    voxel = min(max(float(POSITION * _step(rate, given.by_mean.mean())), least), max(reach, least))
+    # A finer lattice does not separate equal means.
+    crowded = CROWDED + 1 - len(np.unique(mean, axis=0)) / len(mean)
+    # The most important ones choose first.
+    order = np.argsort(-given.by_mean.sum(axis=1), kind="stable")
+    while True:
+        fraction, exponent = math.frexp(voxel)
+        grid = choose_grid(
+            core.astype(np.float32), math.ldexp(math.ceil(fraction * 2**VOXEL_BITS), exponent - VOXEL_BITS)
+        )
+        unit = grid.scale_mantissa * 2.0**grid.scale_exponent
+        origin = np.array([o * 2.0 ** (grid.scale_exponent - 24) for o in grid.origin])
+        exact = (mean[order] - origin) / unit
+        cell = _rounded(exact)
+        if _late(cell).mean() <= crowded or voxel / 2 < least:
+            break
+        voxel /= 2
+    # Towards the exact position first.
+    home, side = cell.copy(), np.where(exact >= cell, 1, -1)
+    # fp16 has 11 bits.
+    side <<= np.maximum(np.frexp(cell.astype(np.float64))[1] - 11, 0)
+    for far in FAR:
+        for step in AROUND:
+            late = _late(cell)
+            if late.any():
+                cell[late] = _rounded(home[late] + far * side[late] * step)
+    back = np.empty_like(cell)
+    back[order] = cell
+    return grid, (origin + unit * back).astype(np.float32)
+
+
+def _rounded(cells: F64) -> I64:
+    """Returns the nearest integers that fp16 holds."""
+    return np.rint(cells).astype(np.float16).astype(np.int64)
+
+
+def _late(cell: I64) -> NDArray[np.bool_]:
+    """Returns which cells occur before, bool [n]. cell: int64 [n, 3]."""
+    late = np.ones(len(cell), bool)
+    late[np.unique((cell + (1 << 17)) @ (1, 1 << 20, 1 << 40), return_index=True)[1]] = False
+    return late
+
+
+def coded(given: Measured, rate: float) -> Coded:
+    """Returns the symbols at a rate: the mean squared error of a picture that a bit is worth.
+
+    Raises ValueError for numbers that no network of SPEC 7.2 decodes.
+    """
+    kept = given.absence >= BITS * rate
+    given = given.of(kept | ~kept.any())
+    table, (n, numbers_count) = given.table, given.table.shape
+    weights = {name: given.by_number[:, columns].mean(axis=1) + TINY for name, columns in KINDS.items()}
+    most = PROFILES[MAIN].render_width[1]
+    widest = max(numbers_count - COLOUR.start, 6)
+    chosen = _classes(weights, max(k for k in range(1, CLASSES + 1) if hidden_units(k, widest) <= most))
+    classes = int(chosen.max()) + 1
+    # Of each column: a step for each class, [C, numbers], and a middle. Columns of a kind have equal steps.
+    steps, middle, basis = np.empty((classes, numbers_count)), np.empty(numbers_count), np.eye(numbers_count)
+    for name, columns in KINDS.items():
+        weight = weights[name]
+        each = np.array([weight[chosen == k].mean() for k in range(classes)])
+        steps[:, columns] = np.minimum(_step(rate, each), STEP_MAX[name])[:, None]
+        middle[columns] = weight @ table[:, columns] / weight.sum()
+    centred = table[:, COLOUR] - middle[COLOUR]
+    _, vectors = np.linalg.eigh((centred * weights["colour"][:, None]).T @ centred / weights["colour"].sum())
+    basis[COLOUR, COLOUR] = vectors[:, ::-1]
+    features, decoded = np.concatenate([chosen[:, None], np.zeros((n, numbers_count), np.int64)], axis=1), table.copy()
+    networks = {}
+    for name, parts in OUTPUTS.items():
+        wide = np.concatenate([np.arange(numbers_count)[part] for part in parts])
+        layers, maps = network(
+            steps[:, wide],
+            basis[np.ix_(wide, wide)],
+            middle[wide],
+            wide + 1,
+            numbers_count + 1,
+            hidden_units(classes, widest),
+        )
+        for k in range(classes):
+            mine = np.ix_(chosen == k, wide)
+            symbols = maps.symbols(table[mine], k)
+            decoded[mine] = maps.numbers(symbols, k)
+            features[np.ix_(chosen == k, wide + 1)] = symbols
+        networks[name] = _with_w(layers) if name == "covariance" else layers
+    grid, positions = _lattice(given, rate)
+    return Coded(positions, grid, features, networks, decoded)
+
+
+def _with_w(layers: list[Layer]) -> list[Layer]:
+    """Returns the covariance network with an output for w of the quaternion, which is 1."""
+    first, (weight, bias) = layers
+    return [first, (np.insert(weight, 3, 0, axis=0), np.insert(bias, 3, 2.0**OUTPUT_BITS))]
+
+
+# --- quality ----------------------------------------------------------------------------------------------------------
+
+
+class Judge:
+    """Pictures of the given Gaussians by some cameras, to compare with."""
+
+    def __init__(self, given: Measured, cameras: Sequence[Camera], settings: Settings) -> None:
+        self.cameras, self.settings = cameras, settings
+        self.truth = self._drawn(given.mean, given.table)
+
+    def _drawn(self, mean: F32, table: F64) -> list[F64]:
+        splats = splats_of(torch.from_numpy(mean), torch.from_numpy(table.astype(np.float32)))
+        with torch.no_grad():
+            images = [drawn(splats, camera, self.settings)[0] for camera in self.cameras]
+        return [image.clamp(0, 1).double().numpy() for image in images]
+
+    def psnr(self, found: Coded) -> float:
+        """Returns the mean PSNR of the pictures of decoded Gaussians, in dB, at most 100."""
+        pairs = zip(self._drawn(found.positions, found.table), self.truth, strict=True)
+        return float(np.mean([-10 * np.log10(max(np.square(a - b).mean(), 1e-10)) for a, b in pairs]))
+
+
+def search(given: Measured, psnr: float, judge: Judge, progress: Progress) -> tuple[Coded, float]:
+    """Returns the symbols whose pictures have a PSNR, in dB, as nearly as a few tries find them; and their PSNR."""
+    # The squared error of each number is that of its step.
+    rate = 10 ** (-psnr / 10) * 2 * math.log(2) / given.table.size
+    tries: list[tuple[float, float]] = []
+    best: tuple[Coded, float] | None = None
+    for number in range(TRIES):
+        found = coded(given, rate)
+        reached = judge.psnr(found)
+        progress("search", number + 1, TRIES)
+        if best is None or abs(reached - psnr) < abs(best[1] - psnr):
+            best = found, reached
+        if abs(reached - psnr) <= TOLERANCE:
+            break
+        tries.append((math.log10(rate), reached))
+        slope = SLOPE
+        if len(tries) > 1:
+            (a, p), (b, q) = tries[-2:]
+            slope = min(max((p - q) / ((b - a) or 1.0), SLOPE / 3), SLOPE * 3)
+        rate *= 10 ** min(max((reached - psnr) / slope, -1.5), 1.5)
+    assert best is not None
+    return best
+
+
+# --- the scene --------------------------------------------------------------------------------------------------------
+
+
+def converted(
+    arrays: Mapping[str, F32],
+    cameras: Mapping[str, Sequence[Camera]],
+    render: RenderInfo,
+    stated: int,
+    psnr: float,
+    steps: int = STEPS,
+    progress: Progress | None = None,
+) -> Fast:
+    """Returns a static scene of Gaussians, whose pictures have nearly a PSNR, in dB, to theirs.
+
+    arrays: as splat_files.read_splats returns them. cameras: those that measure, and those that judge (views.py).
+    stated: how many of them the scene states. steps: of the training of the entropy model, which an interrupt ends
+    early. Raises ValueError for Gaussians that cannot be coded.
+    """
+    show = progress or (lambda stage, done, total: None)
+    red, green, blue = (value / 255 for value in render.background)
+    settings = Settings(render.low_pass, render.near_plane, render.alpha_max, (red, green, blue))
+    given = measured(arrays, cameras[TRAIN], settings, show)
+    judges = cameras[TEST] or cameras[TRAIN]
+    rows = np.unique(np.linspace(0, len(judges) - 1, JUDGES).round().astype(int))
+    found, reached = search(given, psnr, Judge(given, [judges[i] for i in rows], settings), show)
+    n, count = found.features.shape
+    cloud = AnchorCloud(
+        found.positions,
+        found.features.astype(np.float32),
+        np.zeros((n, SCALINGS), np.float32),
+        np.zeros((n, 1, 3), np.float32),
+        np.ones((n, 1), bool),
+    )
+    result = fit(
+        Given(
+            cloud,
+            grid=found.grid,
+            networks=found.networks,
+            render=replace(render, render_model=STATIC),
+            cameras=tuple(spread_cameras(cameras[TRAIN], stated)),
+            # Features, and the other attributes, which are 0.
+            base_step=(1.0, 1.0, 1.0),
         ),
-        "colour": (np.concatenate([basis, np.zeros((width, count - width))], axis=1), middle),
-    }
-    # This makes a hidden unit positive: from 1 to ACTIVATION_MAX.
-    shift = (ACTIVATION_MAX + 1) / 2
-    networks: dict[str, list[Layer]] = {}
-    for name in RENDERING:
-        matrix, constant = outputs[name]
-        weight = matrix * steps * 2.0**OUTPUT_BITS
-        bias = constant * 2.0**OUTPUT_BITS + weight @ (centre - shift)
-        first = np.diag(gain).astype(np.float32), np.full(count, shift, np.float32)
-        networks[name] = [first, (weight.astype(np.float32), bias.astype(np.float32))]
-    return networks
+        FitSettings(
+            steps=steps, batch=BATCH, network_rate=NETWORK_RATE, entropy=EntropySettings(slices=_slices(count))
+        ),
+        progress=show,
+    )
+    return Fast(_packed(result.scene), reached, result.report["steps"] == steps)
+
+
+def _slices(count: int) -> tuple[int, ...]:
+    """Returns the slices of the features: those of colours are longer and longer, as these matter less and less."""
+    found, left = [*SLICES], count - sum(SLICES)
+    for width in COLOURS:
+        if left > 0:
+            found.append(min(width, left))
+            left -= width
+    return tuple(found)
+
+
+def _packed(scene: Scene) -> Scene:
+    """Returns the scene with packed positions and weights, of which most of the rendering networks' are 0.
+
+    Scales for these rendering networks are smaller than the root of the mean square (SPEC B.5): their few other weights
+    are escapes.
+    """
+    scene = packed(scene, None, None)
+    assert scene.weight_scales is not None
+    scales = scene.weight_scales.copy()
+    names = [name for name, _, _ in layers_of(scene.dimensions)]
+    for number, name in enumerate(names):
+        if name.partition(".")[0] in RENDERING:
+            network, _, layer = name.partition(".")
+            if (scene.networks[network][int(layer)][0] == 0).mean() > SPARSE:
+                scales[number, 1] = 0
+    return replace(scene, weight_scales=scales)

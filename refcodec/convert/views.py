@@ -59,6 +59,12 @@ def middle_and_radius(splats: Splats) -> tuple[F64, float]:
     return middle, float(np.quantile(np.linalg.norm(mean - middle, axis=1), SHARE)) or 1.0
 
 
+def near_plane(splats: Splats) -> float:
+    """Returns the near plane of pictures of splats, in world units, a float32 value."""
+    _, radius = middle_and_radius(splats)
+    return float(np.float32(min(NEAR * radius, NEAR_MAX)))
+
+
 def train_directions(count: int) -> F64:
     """Returns unit vectors [count, 3] spread evenly over the part of the sphere between the elevations; z is up."""
     return _directions(*spiral(count, LOWEST, HIGHEST))
@@ -156,9 +162,8 @@ def write_photographs(
     background: 0 to 255 each; None for transparent images, which cannot show colours above 1 of half-transparent
     Gaussians. Raises OSError, also if a file exists.
     """
-    _, radius = middle_and_radius(splats)
     red, green, blue = (value / 255 for value in background or (0, 0, 0))
-    settings = Settings(near_plane=min(NEAR * radius, NEAR_MAX), background=(red, green, blue))
+    settings = Settings(near_plane=near_plane(splats), background=(red, green, blue))
     done, total = 0, sum(len(cameras) for cameras in views.values())
     for name, cameras in views.items():
         (folder / name).mkdir(parents=True, exist_ok=True)

@@ -22,7 +22,7 @@ from torch import Tensor
 from ..bitstream.attributes import KINDS
 from ..bitstream.batches import Progress
 from ..bitstream.codec import derive_steps
-from ..bitstream.dimensions import RENDERING, STATIC, Dimensions
+from ..bitstream.dimensions import RENDER_MODELS, RENDERING, STATIC, Dimensions
 from ..bitstream.limits import MAIN, PROFILES, dimension_fault
 from ..bitstream.networks import Layer
 from ..bitstream.planes import PLANE_SYMBOL_MAX, PLANES
@@ -104,17 +104,10 @@ def base_steps(cloud: AnchorCloud, steps: QuantisationSettings, rate: float = BA
     return features, scalings, offsets
 
 
-def fit_dimensions(
-    cloud: AnchorCloud,
-    settings: EntropySettings,
-    render_width: int = RENDER_WIDTH,
-    view_inputs: int = 4,
-    colour_outputs: int = 3,
-) -> Dimensions:
+def fit_dimensions(cloud: AnchorCloud, settings: EntropySettings, render_width: int = RENDER_WIDTH) -> Dimensions:
     """The dimensions of a scene of some anchors (SPEC B.3).
 
-    render_width, view_inputs, colour_outputs: of the rendering networks. Raises ValueError for a scene that Main does
-    not hold (SPEC 11.1).
+    render_width: of the rendering networks. Raises ValueError for a scene that Main does not hold (SPEC 11.1).
     """
     count, features = cloud.features.shape
     slices = choose_slices(features, settings.slices) if features else ()
@@ -130,10 +123,8 @@ def fit_dimensions(
         sarm_width=SARM_WIDTH if planes else (),
         carm_width=hidden if len(slices) > 1 else (),
         render_width=render_width,
-        view_inputs=view_inputs,
-        colour_outputs=colour_outputs,
     )
-    fault = dimension_fault(PROFILES[MAIN], d, 0 if view_inputs else STATIC)
+    fault = dimension_fault(PROFILES[MAIN], d, 0)
     if fault:
         field, value, allowed = fault
         raise ValueError(f"{field} would be {value}; allowed: {allowed} (SPEC.md 11.1)")
@@ -152,13 +143,9 @@ def _rendering(given: Given, d: Dimensions) -> dict[str, list[Layer]]:
     return given.networks
 
 
-def _render_sizes(given: Given) -> tuple[int, int, int]:
-    """SPEC 5.3: render_width, view_inputs and colour_outputs of the rendering networks."""
-    if not given.networks:
-        return RENDER_WIDTH, 4, 3
-    (first, _), (last, _) = given.networks["colour"]
-    cloud = given.cloud
-    return len(first), first.shape[1] - cloud.features.shape[1], len(last) // cloud.masks.shape[1]
+def _render_width(given: Given) -> int:
+    """The width of the rendering networks' hidden layer."""
+    return len(given.networks[RENDERING[0]][0][1]) if given.networks else RENDER_WIDTH
 
 
 def _start(given: Given, settings: FitSettings) -> Scene:
@@ -171,9 +158,13 @@ def _start(given: Given, settings: FitSettings) -> Scene:
         # Some anchors lie farther from the middle than fp16 reaches on the lattice.
         grid = choose_grid(cloud.positions)
         ordered, half = order_anchors(cloud, grid)
-    d = fit_dimensions(ordered, settings.entropy, *_render_sizes(given))
-    chosen = settings.scene if given.networks else settings.quantisation
-    base_step = given.base_step or base_steps(cloud, chosen, settings.rate)
+    d = fit_dimensions(ordered, settings.entropy, _render_width(given))
+    if given.render.render_model == STATIC and given.networks:
+        colours = len(given.networks[RENDERING[2]][-1][1]) // d.offset_count
+        d = replace(d, view_inputs=RENDER_MODELS[STATIC][0], colour_outputs=colours)
+    base_step = given.base_step or base_steps(
+        cloud, settings.scene if given.networks else settings.quantisation, settings.rate
+    )
     networks: dict[str, list[Layer]] = {
         name: [(np.zeros(shape, np.float32), np.zeros(shape[0], np.float32)) for shape in shapes]
         for name, shapes in d.network_shapes().items()

@@ -30,7 +30,7 @@ class Given:
     voxel: edge of the lattice of their positions, world units; None if it is not known. grid: that of the coded scene
     that they come from. networks: the rendering networks of SPEC 14.3; None where features 0 to 2 are logits of colour,
     as voxelise makes them. render: SPEC 6.5. cameras: those that it states. base_step: of features, scalings and
-    offsets, None for those of the settings.
+    offsets; None to choose them.
     """
 
     cloud: AnchorCloud

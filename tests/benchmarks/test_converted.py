@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from benchmarks import converted
-from benchmarks.converted import OWN, Source, coded_record, main, packed_record
+from benchmarks.converted import OWN, Source, coded_record, fast_record, main, packed_record
 from benchmarks.peers.splats import write_ply
 
 MakeSplats = Callable[[int, int], dict[str, torch.Tensor]]
@@ -40,6 +40,13 @@ def test_a_scene_of_a_splat(source: Source, tmp_path: Path) -> None:
     assert record["seconds"] > 0
     assert 5 < record["psnr"] < 40
     assert len(source.cameras) == len(source.truth) == 2
+
+
+@pytest.mark.slow
+def test_the_splat_itself(source: Source, tmp_path: Path) -> None:
+    record = fast_record(source, 40, tmp_path)
+    assert 100 < record["anchors"] <= 150
+    assert record["psnr"] > 30
 
 
 def test_splat_transform_is_missing(

@@ -1,91 +1,117 @@
-"""Splat files as static scenes without training."""
+"""convert --fast: Gaussians as a static scene, whose rendering networks are linear decoders."""
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
-pytest.importorskip("torch")
+for package in ("torch", "numba", "PIL", "skimage", "scipy"):
+    pytest.importorskip(package)
 
-import refcodec
-from refcodec.bitstream.cameras import rotation_matrix
-from refcodec.bitstream.header import RenderInfo
-from refcodec.bitstream.reconstruction import gaussians
-from refcodec.bitstream.splat import HARMONICS as COLOURS
-from refcodec.bitstream.splat import LENGTHS, LOGIT, MEAN, QUATERNION
-from refcodec.cli.main import main
-from refcodec.convert import fast as module
-from refcodec.convert.fast import HARMONICS, LENGTH, LOGIT_LEAST, TURN, fast
-from refcodec.export.ply import ply_bytes
-from refcodec.export.splats import Splats
-from refcodec.render.harmonics import REST
+from writers import made, write_plain  # noqa: E402
 
-
-def splats_of(seed: int, count: int, degree: int) -> dict[str, np.ndarray]:
-    random = np.random.default_rng(seed)
-    arrays = {
-        "mean": random.normal(0, 2, (count, 3)),
-        "base": random.normal(0, 1, (count, 3)),
-        "rest": random.normal(0, 0.2, (count, REST[degree], 3)),
-        "opacity": random.normal(0, 2, count),
-        "scale": random.normal(-3, 1, (count, 3)),
-        "quaternion": random.normal(0, 1, (count, 4)),
-    }
-    return {name: values.astype(np.float32) for name, values in arrays.items()}
+from refcodec.bitstream.codec import parse  # noqa: E402
+from refcodec.bitstream.header import RenderInfo  # noqa: E402
+from refcodec.bitstream.networks import IntNetwork, derive_layer  # noqa: E402
+from refcodec.bitstream.positions import chunk_codes  # noqa: E402
+from refcodec.bitstream.reconstruction import gaussians, reconstruct  # noqa: E402
+from refcodec.bitstream.splat import OUTPUT_BITS  # noqa: E402
+from refcodec.cli.main import main  # noqa: E402
+from refcodec.convert.fast import Measured, coded, converted  # noqa: E402
+from refcodec.convert.importance import numbers, splats_of  # noqa: E402
+from refcodec.convert.linear import hidden_units, network  # noqa: E402
+from refcodec.convert.splats import drawn, tensors  # noqa: E402
+from refcodec.convert.views import AXES, near_plane, orbit  # noqa: E402
+from refcodec.render.rasterise import Settings  # noqa: E402
+from refcodec.render.view import View  # noqa: E402
 
 
-@pytest.fixture(autouse=True)
-def _short(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "STEPS", 4)
+def arrays(count: int = 300, degree: int = 2) -> dict[str, np.ndarray]:
+    return {name: values.astype(np.float32) for name, values in made(count, degree).items()}
 
 
-def covariances(lengths: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
-    unit = quaternion.astype(np.float64) / np.linalg.norm(quaternion, axis=1, keepdims=True)
-    axes = rotation_matrix(unit) * np.exp(lengths.astype(np.float64))[:, None]
-    found: np.ndarray = axes @ axes.transpose(0, 2, 1)
-    return found
+def test_numbers_draw_the_same() -> None:
+    """Another choice of a Gaussian's axes is the same Gaussian, with a small rotation."""
+    splats = arrays()
+    table = numbers(splats)
+    assert np.abs(table[:, 4:7]).max() <= 1
+    given = tensors(splats)
+    camera = orbit(given, AXES["-y"], 40, 3, 1)["train"][1]
+    again = splats_of(given["mean"], tensors({"table": table.astype(np.float32)})["table"])
+    first, second = (drawn(s, camera, Settings(near_plane=0.01))[0] for s in (given, again))
+    assert (first - second).abs().max() < 1e-4
 
 
-@settings(max_examples=8)
-@given(seed=st.integers(0, 1 << 20), count=st.integers(1, 40), degree=st.integers(0, 3))
-def test_each_number_is_within_its_step(seed: int, count: int, degree: int) -> None:
-    """Half a step, and what the sums of 9.4 round: the order of the Gaussians changes, and invisible ones are gone."""
-    arrays = splats_of(seed, count, degree)
-    arrays["opacity"][0] = 1
-    seen = arrays["opacity"] >= LOGIT_LEAST
-    scene = fast(arrays, RenderInfo(render_model=1))
-    numbers = gaussians(scene)
-    assert len(numbers) == seen.sum()
-    own = [np.abs(arrays["mean"][seen] - mean).sum(axis=1).argmin() for mean in numbers[:, MEAN]]
-    assert sorted(own) == list(range(len(own)))
-    wanted = {name: values[seen][own] for name, values in arrays.items()}
-    colours = numbers[:, COLOURS].reshape(len(own), -1, 3)
-    width = 3 * (REST[degree] + 1)
-    error = np.concatenate([wanted["base"][:, None], wanted["rest"]], axis=1) - colours
-    # The components turn the errors.
-    assert np.abs(error).max() <= 0.51 * HARMONICS * np.sqrt(width) + 0.01
-    assert np.abs(numbers[:, LOGIT] - wanted["opacity"].clip(max=module.LOGIT_MOST)).max() <= 0.51 * module.LOGIT
-    right = covariances(wanted["scale"], wanted["quaternion"])
-    near = covariances(numbers[:, LENGTHS], numbers[:, QUATERNION])
-    size = np.trace(right, axis1=1, axis2=2)
-    assert (np.abs(right - near).max(axis=(1, 2)) <= 2 * (LENGTH + TURN) * size).all()
+@pytest.mark.parametrize("classes", [1, 2, 4])
+def test_a_linear_network(classes: int) -> None:
+    """The integers compute the map of each class up to their last rounding, also at the ends of the range."""
+    rng = np.random.default_rng(classes)
+    basis = np.linalg.qr(rng.normal(size=(5, 5)))[0]
+    steps, inputs = rng.uniform(0.01, 1.6, (classes, 5)), np.array([2, 3, 4, 6, 7])
+    layers, maps = network(steps, basis, rng.normal(size=5), inputs, 9, hidden_units(classes, 5) + 3)
+    exact = IntNetwork([derive_layer(*layer) for layer in layers])
+    for k in range(classes):
+        values = rng.integers(-maps.most[k], maps.most[k] + 1, (50, 5))
+        features = rng.integers(-1000, 1000, (50, 9))
+        features[:, 0], features[:, inputs] = k, values
+        np.testing.assert_allclose(exact(features) / 2.0**OUTPUT_BITS, maps.numbers(values, k), atol=2.0**-OUTPUT_BITS)
+        assert np.array_equal(maps.symbols(maps.numbers(values, k), k), values)
+        assert np.abs(maps.matrix[k] - steps[k] * basis).max() < 0.02
 
 
-def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    source, folder, file = tmp_path / "a.ply", tmp_path / "scene", tmp_path / "scene.c3gs"
-    source.write_bytes(ply_bytes(Splats(**splats_of(3, 60, 1))))
-    assert main(["convert", str(source), "-o", str(folder), "--fast", "--coarseness", "0.5"]) == 0
-    assert main(["encode", str(folder), "-o", str(file)]) == 0
-    assert 40 < len(refcodec.gaussians(file).mean) <= 60
-    capsys.readouterr()
-    for words, reason in (
-        (["--fast", "--views", "9"], "omit --views"),
-        (["--fast", "--static"], "omit --static"),
-        (["--coarseness", "2"], "add --fast"),
-    ):
-        assert main(["convert", str(source), "-o", str(tmp_path / "other"), *words]) == 64
-        assert reason in capsys.readouterr().err
+def test_no_two_positions_are_equal() -> None:
+    """Equal means get neighbouring cells, so that positions are packed."""
+    splats = arrays(200, 0)
+    splats["mean"][100:] = splats["mean"][:100]
+    table = numbers(splats)
+    n = len(table)
+    found = coded(Measured(splats["mean"], table, np.ones((n, 3)), np.ones(table.shape), np.ones(n)), 1e-3)
+    assert len(np.unique(found.positions, axis=0)) == n
+    unit = found.grid.scale_mantissa * 2.0**found.grid.scale_exponent
+    assert np.abs(found.positions - splats["mean"]).max() < 4 * unit
+
+
+@pytest.mark.parametrize("degree", [0, 3])
+def test_a_scene_is_as_good_as_wanted(degree: int) -> None:
+    splats = arrays(400, degree)
+    given = tensors(splats)
+    cameras = orbit(given, AXES["-y"], 48, 8, 2)
+    render = RenderInfo(near_plane=near_plane(given))
+    found = converted(splats, cameras, render, 1, 40, 20)
+    assert found.whole
+    assert abs(found.psnr - 40) < 1
+    scene = found.scene
+    assert scene.position_model is not None
+    assert chunk_codes(scene.positions, scene.position_model.cell_shift) is not None
+    assert gaussians(scene, reconstruct(scene)).shape == (scene.anchor_count, 11 + 3 * (degree + 1) ** 2)
+    # What the decoder draws is what the search has judged.
+    errors = []
+    for camera in cameras["test"]:
+        truth, _, _ = drawn(given, camera, Settings(near_plane=render.near_plane))
+        errors.append(np.square(View(scene).draw(camera).clip(0, 1) - truth.clamp(0, 1).numpy()).mean())
+    assert abs(np.mean(-10 * np.log10(errors)) - found.psnr) < 0.1
+
+
+def test_convert_fast(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_plain(made(100, 1), tmp_path / "a.ply")
+    words = ["convert", str(tmp_path / "a.ply"), "-o", str(tmp_path / "a.c3gs"), "--fast"]
+    small = ["--views", "8", "--size", "40", "--steps", "5"]
+    assert main([*words, *small, "--psnr", "38", "--up=+z"]) == 0
+    assert re.search(r" of 100 Gaussians, 3[78]\.\d dB to ", capsys.readouterr().out)
+    scene = parse((tmp_path / "a.c3gs").read_bytes()).scene
+    assert (scene.render.render_model, scene.render.up_axis) == (1, 4)
+    assert main([*words, "--rate", "0.01"]) == 64
+    assert "--rate applies only to a training" in capsys.readouterr().err
+    assert main([*words[:-1], "--psnr", "40"]) == 64
+    assert "--psnr applies only to --fast" in capsys.readouterr().err
+
+
+def test_gaussians_in_one_place() -> None:
+    splats = arrays(50, 0)
+    splats["mean"][:] = 3
+    given = tensors(splats)
+    cameras = orbit(given, AXES["-y"], 24, 4, 1)
+    assert converted(splats, cameras, RenderInfo(near_plane=near_plane(given)), 1, 30, 2).scene.anchor_count > 0
