@@ -31,7 +31,7 @@ class Splats:
     mean: [n, 3], world units.
     base: [n, 3], coefficients of the harmonic of degree 0: red, green and blue.
     rest: [n, K, 3], those of the other harmonics in the order of 3DGS, K is 0, 3, 8 or 15. The colour is 0.5 plus the
-        sum of the harmonics of the direction from the camera to the mean, times their coefficients (SPEC 14.6).
+    sum of the harmonics of the direction from the camera to the mean, times their coefficients (SPEC 14.6).
     opacity: [n], logits: the opacity is 1 / (1 + exp(-logit)).
     scale: [n, 3], natural logarithms of the lengths of the axes, which are in world units.
     quaternion: [n, 4], w, x, y, z, of any length but 0. It turns the axes of the Gaussian to those of the world.

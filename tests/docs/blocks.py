@@ -113,9 +113,9 @@ class Desk:
             self._program(programs / name, f'exec "{sys.executable}" -m {name} "$@"')
         self._program(programs / "python", f'exec "{sys.executable}" "$@"')
         # A training of the manual takes minutes.
-        # A model in a folder is converted without a training.
-        model = '[ "$1" = convert ] && [ -d "$2" ]'
-        cases = "".join(f'{command}) {model} || set -- "$@" {options} ;;\n' for command, options in _TINY.items())
+        # A model in a folder is converted without a training, and so is a splat with --fast.
+        short = '[ "$1" = convert ] && { [ -d "$2" ] || [ "$5" = --fast ]; }'
+        cases = "".join(f'{command}) {short} || set -- "$@" {options} ;;\n' for command, options in _TINY.items())
         self._program(programs / "refcodec", f'case "$1" in\n{cases}esac\nexec "{sys.executable}" -m refcodec "$@"')
         self._environment = {**os.environ, "PATH": f"{programs}{os.pathsep}{os.environ['PATH']}"}
 
