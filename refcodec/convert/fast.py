@@ -30,7 +30,7 @@ from ..train.fit import fit
 from ..train.fit_input import Given
 from ..train.settings import EntropySettings, FitSettings
 from .importance import COLOUR, LENGTHS, LOGIT, TURN, importance, numbers, splats_of
-from .linear import hidden_units, network
+from .linear import FAR, hidden_units, network
 from .splats import drawn
 from .views import TEST, TRAIN
 
@@ -69,7 +69,7 @@ JUDGES, TRIES, TOLERANCE, SLOPE = 8, 6, 0.05, 9.0
 # Positions: the share of means that choose the middle of the lattice, bits of its unit, the share of taken cells that
 # makes it finer, and the moves out of a taken cell, which are tried in this order.
 INLIERS, VOXEL_BITS, CROWDED = 0.95, 4, 0.1
-AROUND, FAR = [np.array(step) for step in sorted(np.ndindex(2, 2, 2), key=sum)[1:]], (1, -1, 2, -2, 3, -3)
+AROUND, DISTANCES = [np.array(step) for step in sorted(np.ndindex(2, 2, 2), key=sum)[1:]], (1, -1, 2, -2, 3, -3)
 # The entropy model: steps of training, and what differs from a fit of longer training.
 STEPS, BATCH, NETWORK_RATE = 600, 2048, 0.02
 # Cameras around the Gaussians that measure, and the sides of their images in pixels.
@@ -196,7 +196,7 @@ def _lattice(given: Measured, rate: float) -> tuple[PositionGrid, F32]:
     home, side = cell.copy(), np.where(exact >= cell, 1, -1)
     # fp16 has 11 bits.
     side <<= np.maximum(np.frexp(cell.astype(np.float64))[1] - 11, 0)
-    for far in FAR:
+    for far in DISTANCES:
         for step in AROUND:
             late = _late(cell)
             if late.any():
@@ -241,6 +241,10 @@ def coded(given: Measured, rate: float) -> Coded:
     centred = table[:, COLOUR] - middle[COLOUR]
     _, vectors = np.linalg.eigh((centred * weights["colour"][:, None]).T @ centred / weights["colour"].sum())
     basis[COLOUR, COLOUR] = vectors[:, ::-1]
+    # The largest number of a class is within the reach of its features.
+    far = np.abs((table - middle) @ basis)
+    peaks = np.array([far[chosen == k].max(axis=0) for k in range(classes)])
+    steps = np.maximum(steps, peaks / (FAR - 1))
     features, decoded = np.concatenate([chosen[:, None], np.zeros((n, numbers_count), np.int64)], axis=1), table.copy()
     networks = {}
     for name, parts in OUTPUTS.items():

@@ -65,7 +65,9 @@ def network(steps: F64, basis: F64, middle: F64, inputs: I64, count: int, width:
         if len(found) == len(rows):
             break
     else:
-        raise ValueError("the steps of the Gaussians' numbers are too large: choose a higher quality")
+        raise ValueError(
+            "numbers of the Gaussians are too far apart for integer networks (SPEC.md 7.2): remove outliers"
+        )
     first, bias = np.zeros((width, count), np.float32), np.zeros(width, np.float32)
     for k in range(classes):
         units = np.arange(k * m, (k + 1) * m)
