@@ -133,16 +133,17 @@ def _clients(sources: list[Source], found: dict[str, dict[int, Record]]) -> list
 
 
 NOTE = (
-    "The scenes are those of examples/scenes, and two that were trained with `--static --size 200`, lambda_r 0.004 and",
-    "seed 0. Static scenes need no fit.",
+    "The scenes are those of the experiment `quality` with lambda_r 0.004 and seed 0, and two static ones of this rate",
+    "and seed, trained while the settings of static scenes were chosen. These need no fit.",
     "One thread. PSNR to the scene: of float renderings of the splat and of the scene, from the cameras of held-out",
     "photographs. PSNR and SSIM: of eight-bit renderings and these photographs, by scikit-image. SPZ and SOG are",
     "decoded before rendering. GLB has the Gaussians of PLY. bits: of the harmonics, by `export --spz-bits`.",
 )
 CLIENTS_NOTE = (
     f"difference: the largest difference between a number that splat-transform {VERSION} reads from the file and the",
-    "expected one, relative to the number if that is above 1. picture: the PSNR of a viewer's picture relative to",
-    f"our rendering of the same Gaussians, over {PICTURES} cameras. The viewer of .ply, .spz and .sog is {SPARK}",
+    "expected one, relative to the number if that is above 1. The program takes the axes of SPZ files for those of PLY",
+    "files, thus the expected y and z have the other signs. picture: the PSNR of a viewer's picture relative to our",
+    f"rendering of the same Gaussians, over {PICTURES} cameras. The viewer of .ply, .spz and .sog is {SPARK}",
     f"in {THREE}. That of .glb is {THREE}'s own, which keeps colours and harmonics in eight bits, and cuts a",
     "Gaussian at two deviations. Both blend in eight bits, in Chromium, with software rendering. Both omit Gaussians",
     "whose centre is far outside the image.",

@@ -106,7 +106,7 @@ def splat_record(source: Source, degree: int, folder: Path) -> Record:
         splats = source.own or fit(source.view, source.fitted, degree, ITERATIONS, no_progress).splats
         seconds = time.process_time() - began
         settings, files = render_settings(source.view), {}
-        for suffix, bits in (*((suffix, BITS) for suffix in FORMATS), (".spz", BITS_MOST)):
+        for suffix, bits in [(s, bits) for s in FORMATS for bits in ((BITS, BITS_MOST) if s == ".spz" else (BITS,))]:
             packed = splat_file(splats, suffix, source.view.up, bits)
             if bits == BITS:
                 file_of(source, degree, suffix, folder).write_bytes(packed.data)
