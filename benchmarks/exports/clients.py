@@ -9,6 +9,7 @@ import json
 import subprocess
 import tempfile
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ import numpy as np
 from refcodec.bitstream.cameras import rotation_matrix
 from refcodec.convert.splat_files import read_splats
 from refcodec.export.splats import Splats, opacities
+from refcodec.export.spz import HARMONIC_SIGNS
 
 from ..peers.convert import ROOT, ToolError, convert
 
@@ -39,16 +41,34 @@ def modules() -> Path:
     return found
 
 
-def difference(file: Path, wanted: Splats) -> float:
+def as_read(splats: Splats, suffix: str) -> Splats:
+    """Returns the Gaussians that splat-transform reads from a file of Gaussians.
+
+    SPZ files have axes that point right, up and back (Niantic's README). splat-transform 3 takes them for those of PLY
+    files, which point right, down and forward. Thus its y and z have the other signs.
+    """
+    if suffix != ".spz":
+        return splats
+    signs = np.array([1, -1, -1], np.float32)
+    return replace(
+        splats,
+        mean=splats.mean * signs,
+        quaternion=splats.quaternion * np.append(np.float32(1), signs),
+        rest=splats.rest * HARMONIC_SIGNS[: splats.rest.shape[1], None].astype(np.float32),
+    )
+
+
+def difference(file: Path, held: Splats) -> float:
     """Returns the difference between the Gaussians that splat-transform reads and the expected ones.
 
-    It is the largest difference of a number, relative to the number if that is above 1. Opacities are from 0 to 1, and
-    rotations are matrices. Raises ToolError.
+    held: the Gaussians of the file. The difference is the largest of a number, relative to the number if that is above
+    1. Opacities are from 0 to 1, and rotations are matrices. Raises ToolError.
     """
     with tempfile.TemporaryDirectory() as folder:
         again = Path(folder) / "again.ply"
         convert(file, again)
         found = Splats(**read_splats(again))
+    wanted = as_read(held, file.suffix)
     if found.rest.shape != wanted.rest.shape:
         raise ToolError(f"splat-transform reads {found.rest.shape} harmonics of {file}, not {wanted.rest.shape}")
     pairs = [(getattr(found, name), getattr(wanted, name)) for name in ("mean", "base", "rest", "scale")]

@@ -1,4 +1,7 @@
-"""A scene in all formats of `refcodec export`, for one degree of the harmonics: files and their quality."""
+"""A scene in all formats of `refcodec export`, for one degree of the harmonics: files and their quality.
+
+.spz is also measured with the most bits of harmonics. Only the file of the default bits is kept.
+"""
 
 from __future__ import annotations
 
@@ -13,11 +16,14 @@ import numpy as np
 
 from refcodec.bitstream.batches import no_progress
 from refcodec.bitstream.codec import parse
+from refcodec.bitstream.dimensions import STATIC
+from refcodec.bitstream.scene import Scene
 from refcodec.convert.splat_files import read_splats
 from refcodec.evaluate.quality import measures
 from refcodec.export.fit import agreement, fit, render_settings
 from refcodec.export.formats import FORMATS, splat_file
-from refcodec.export.splats import Splats, draw
+from refcodec.export.splats import Splats, draw, static_splats
+from refcodec.export.spz import BITS, BITS_MOST
 from refcodec.export.views import sized
 from refcodec.files.documents import read_json
 from refcodec.photographs.photographs import PhotographSet, read_photographs
@@ -47,9 +53,19 @@ class Source:
         return f"{self.name}-{self.size}px"
 
     @cached_property
-    def view(self) -> View:
+    def scene(self) -> Scene:
         """The decoded scene."""
-        return View(parse(self.file.read_bytes()).scene)
+        return parse(self.file.read_bytes()).scene
+
+    @cached_property
+    def view(self) -> View:
+        """The decoded scene, for rendering."""
+        return View(self.scene)
+
+    @cached_property
+    def own(self) -> Splats | None:
+        """The Gaussians of a static scene, which need no fit; else None."""
+        return static_splats(self.scene) if self.scene.render.render_model == STATIC else None
 
     @cached_property
     def set(self) -> PhotographSet:
@@ -82,21 +98,23 @@ def scene_record(source: Source, folder: Path) -> Record:
 def splat_record(source: Source, degree: int, folder: Path) -> Record:
     """Returns the figures of the splats of a degree: bytes, and PSNR to the scene and photographs, by format.
 
-    Their files are in the folder (file_of).
+    Their files are in the folder (file_of). degree: of a static scene, its own.
     """
 
     def made() -> Record:
         began = time.process_time()
-        fitted = fit(source.view, source.fitted, degree, ITERATIONS, no_progress)
+        splats = source.own or fit(source.view, source.fitted, degree, ITERATIONS, no_progress).splats
         seconds = time.process_time() - began
         settings, files = render_settings(source.view), {}
-        for suffix in FORMATS:
-            packed = splat_file(fitted.splats, suffix, source.view.up)
-            file_of(source, degree, suffix, folder).write_bytes(packed.data)
+        for suffix, bits in [(s, bits) for s in FORMATS for bits in ((BITS, BITS_MOST) if s == ".spz" else (BITS,))]:
+            packed = splat_file(splats, suffix, source.view.up, bits)
+            if bits == BITS:
+                file_of(source, degree, suffix, folder).write_bytes(packed.data)
             shown = [measures(draw(packed.splats, p.camera, settings).image, p.image) for p in source.set.test]
             near = agreement(source.view, packed.splats, source.tests, no_progress)
-            files[suffix] = {"bytes": len(packed.data), "near": near, **_means(shown)}
-        return {"gaussians": len(fitted.splats.mean), "seconds": seconds, "files": files}
+            name = f"{suffix}, {bits} bits" if suffix == ".spz" else suffix
+            files[name] = {"bytes": len(packed.data), "near": near, **_means(shown)}
+        return {"gaussians": len(splats.mean), "seconds": seconds, "files": files}
 
     return kept(folder / f"{source.stem}-{degree}.json", made)
 

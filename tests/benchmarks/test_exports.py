@@ -20,10 +20,16 @@ def test_the_command(
 ) -> None:
     monkeypatch.setattr(making, "ITERATIONS", 0)
     words = [str(tmp_path / "out"), "--scene", "a", str(TRAINED), str(folder), "--size", "40", "--degrees", "0"]
-    assert main(words) == 0
+    static = ["--scene", "b", str(TRAINED.with_name("static-degree-2.c3gs")), str(folder)]
+    assert main([*words, *static]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert "### a" in lines
-    assert [line.split(" | ")[0][2:] for line in lines if line.startswith("| .")] == [".c3gs", *FORMATS]
+    rows = [line.strip("| ").split(" | ") for line in lines if line.startswith("| .")]
+    assert {row[0].split(",")[0] for row in rows} == {".c3gs", *FORMATS}
+    assert [row[0] for row in rows if ".spz" in row[0]] == 2 * [".spz, 7 bits", ".spz, 8 bits"]
+    # A static scene has its own degree, and no fit.
+    assert [row[1] for row in rows] == ["", *5 * ["0"], "", *5 * ["2"]]
+    assert any("no fit" in line for line in lines)
     monkeypatch.setattr(browser, "find", lambda: None)
     assert main([*words, "--clients"]) == 64
     assert "missing" in (said := capsys.readouterr().err) or "Chromium" in said

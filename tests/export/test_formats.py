@@ -21,6 +21,7 @@ for package in ("numba", "PIL", "scipy"):
 from PIL import Image  # noqa: E402
 from plyfile import PlyData  # noqa: E402
 
+from benchmarks.exports.clients import as_read  # noqa: E402
 from benchmarks.peers.convert import convert, tool  # noqa: E402
 from refcodec.bitstream.cameras import rotation_matrix  # noqa: E402
 from refcodec.export.formats import FORMATS, splat_file  # noqa: E402
@@ -381,10 +382,7 @@ def test_harmonics_turn_with_the_axes() -> None:
 @pytest.mark.parametrize("degree", range(4))
 @pytest.mark.parametrize("suffix", [".ply", ".spz", ".sog"])
 def test_splat_transform_reads_it(suffix: str, degree: int, tmp_path: Path) -> None:
-    """PlayCanvas's program, which has Niantic's own library for SPZ, finds the Gaussians that the file is said to hold.
-
-    It does not read GLB.
-    """
+    """PlayCanvas's program finds the Gaussians that the file is said to hold. It does not read GLB."""
     packed = splat_file(splats_of(2500, degree), suffix, UP)
     (tmp_path / f"a{suffix}").write_bytes(packed.data)
     convert(tmp_path / f"a{suffix}", tmp_path / "b.ply")
@@ -403,4 +401,4 @@ def test_splat_transform_reads_it(suffix: str, degree: int, tmp_path: Path) -> N
         columns("scale_0", "scale_1", "scale_2"),
         columns("rot_0", "rot_1", "rot_2", "rot_3"),
     )
-    assert_same(found, packed.splats)
+    assert_same(found, as_read(packed.splats, suffix))

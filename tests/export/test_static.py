@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import math
+import struct
 from collections.abc import Callable
 from dataclasses import fields, replace
 from pathlib import Path
@@ -91,11 +93,42 @@ def test_ply_is_exact(name: str, tmp_path: Path) -> None:
     assert_same_bits(read(splats, ".ply", tmp_path), splats)
 
 
+def glb_attributes(data: bytes) -> dict[str, np.ndarray]:
+    """The float32 attributes of a GLB file of refcodec, [n, parts], without the prefix of the extension."""
+    (size,) = struct.unpack_from("<I", data, 12)
+    document, body = json.loads(data[20 : 20 + size]), data[28 + size :]
+    found = {}
+    for name, number in document["meshes"][0]["primitives"][0]["attributes"].items():
+        accessor = document["accessors"][number]
+        if accessor["componentType"] == 5126:
+            parts = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}[accessor["type"]]
+            start = document["bufferViews"][accessor["bufferView"]]["byteOffset"]
+            values = np.frombuffer(body, "<f4", accessor["count"] * parts, start).reshape(-1, parts)
+            found[name.removeprefix("KHR_gaussian_splatting:")] = values
+    return found
+
+
 @pytest.mark.parametrize("name", [name for name in SCENES if name != "static-empty"])
 def test_glb_is_rounded_once(name: str, tmp_path: Path) -> None:
     """GLB has lengths, opacities and unit quaternions in float32, and all other numbers as they are."""
     splats = static_splats(scene_of(name))
     found = read(splats, ".glb", tmp_path)
+    stored = glb_attributes((tmp_path / "a.glb").read_bytes())
+    with np.errstate(over="ignore"):
+        lengths = np.exp(splats.scale.astype(np.float64)).astype(np.float32)
+        logits = splats.opacity.astype(np.float64)
+        wanted = {
+            "POSITION": splats.mean,
+            "SCALE": np.minimum(lengths, np.finfo(np.float32).max),
+            "OPACITY": (1 / (1 + np.exp(-logits))).astype(np.float32)[:, None],
+            "ROTATION": splats.unit_quaternions()[:, [1, 2, 3, 0]].astype(np.float32),
+            "SH_DEGREE_0_COEF_0": splats.base,
+        }
+    places = [f"SH_DEGREE_{d}_COEF_{number}" for d in range(1, splats.degree + 1) for number in range(2 * d + 1)]
+    wanted |= dict(zip(places, splats.rest.swapaxes(0, 1), strict=True))
+    assert set(stored) == set(wanted)
+    for attribute, values in wanted.items():
+        np.testing.assert_array_equal(stored[attribute], values, attribute)
     assert_same_bits(found, splats, "mean", "base", "rest")
     # Lengths that float32 can hold with all of its bits.
     held = np.abs(splats.scale) < 87
