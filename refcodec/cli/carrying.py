@@ -38,8 +38,8 @@ def export_carried(arguments: argparse.Namespace) -> int:
         raise UsageError(f"{reason}, so the output must be one {suffix} file")
     output = outputs[0]
     from ..bitstream.header import SIGNATURE
+    from ..convert.glb import c3gs_of_glb
     from ..export.glb import GLB
-    from ..export.gltf_c3gs import c3gs_of_glb
 
     check_file(output, Kind.signed("a C3GS file", SIGNATURE) if inside else GLB)
     check_apart([output], [arguments.file])
@@ -57,8 +57,7 @@ def _put(arguments: argparse.Namespace, output: Path) -> int:
     """Writes a GLB file with the scene of the command's file."""
     from ..bitstream.cameras import cameras
     from ..bitstream.codec import parse_container
-    from ..export.glb import glb_bytes
-    from ..export.gltf_c3gs import check_colours
+    from ..export.glb import check_colours, glb_bytes
     from ..export.splats import static_splats
     from ..render.camera import scene_up
     from ..render.gaussians import check_static

@@ -187,3 +187,51 @@ def glb_up(file: Path) -> NDArray[np.float64]:
         raise gltf.fault("the rotation of a node is not a unit quaternion")
     up: NDArray[np.float64] = rotation_matrix(turn[[3, 0, 1, 2]] / np.linalg.norm(turn))[1]
     return up
+
+
+def c3gs_of_glb(file: Path) -> bytes:
+    """Returns the C3GS file in a GLB file. It is not decoded. Raises SceneFolderError, and OSError."""
+    gltf = _Gltf(file)
+    start, length = _place(gltf)
+    if not 0 <= start <= start + length <= len(gltf.data):
+        raise gltf.fault("its scene lies outside the binary chunk")
+    return gltf.data[start : start + length]
+
+
+def _member(value: Any, *path: str | int) -> Any:
+    """Returns a member of nested objects and lists by its names and numbers, or None if there is none."""
+    for step in path:
+        if isinstance(step, str):
+            value = value.get(step) if isinstance(value, dict) else None
+        else:
+            value = value[step] if isinstance(value, list) and 0 <= step < len(value) else None
+    return value
+
+
+def _list(value: Any) -> list[Any]:
+    return value if isinstance(value, list) else []
+
+
+def _place(gltf: _Gltf) -> tuple[int, int]:
+    """Returns where the C3GS file is in the binary chunk, and its length. Raises SceneFolderError."""
+    root = gltf.root
+    found = [
+        _member(primitive, "extensions", EXTENSION, "extensions", COMPRESSION, "bufferView")
+        for mesh in _list(_member(root, "meshes"))
+        for primitive in _list(_member(mesh, "primitives"))
+        if _member(primitive, "extensions", EXTENSION, "extensions", COMPRESSION) is not None
+    ]
+    # Several primitives may show one scene.
+    count = len({*map(repr, found)})
+    if count != 1:
+        raise gltf.fault(f"it has {count} scenes with {COMPRESSION}, but must have exactly 1")
+    number = found[0]
+    view = _member(root, "bufferViews", number) if type(number) is int else None
+    if not isinstance(view, dict):
+        raise gltf.fault(f"its list bufferViews has no entry {printable(repr(number), 20)}")
+    buffer, start, length = view.get("buffer"), view.get("byteOffset", 0), view.get("byteLength")
+    if not type(buffer) is type(start) is type(length) is int:
+        raise gltf.fault("the numbers of its buffer view are not integers")
+    if buffer != 0 or _member(root, "buffers", 0, "uri") is not None:
+        raise gltf.fault("its scene is in another file, which a buffer names: use that file")
+    return start, length

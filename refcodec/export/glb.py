@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import __version__
+from ..bitstream.header import RenderInfo
 from ..files.outputs import Kind
 from ..render.harmonics import ZERO
 from .splats import Splats, nearest_bytes, opacities
@@ -24,6 +25,8 @@ F64 = NDArray[np.float64]
 EXTENSION = "KHR_gaussian_splatting"
 # The extension for a C3GS file in a GLB file (spec/gltf).
 COMPRESSION = "KHR_gaussian_splatting_compression_c3gs"
+# SPEC 6.5, code points of ITU-T H.273: BT.709 primaries and the sRGB curve. 2 is unspecified, and means the same here.
+_PRIMARIES, _TRANSFER = (1, 2), (13, 2)
 # The kernel and the colour space, as in 3DGS.
 SPACE = {"kernel": "ellipse", "colorSpace": "srgb_rec709_display"}
 _FLOAT, _BYTE, _POINTS, _VERTICES = 5126, 5121, 0, 34962
@@ -32,6 +35,15 @@ _START = '{"asset":{"version":"2.0","generator":"refcodec'
 GLB = Kind(
     "a GLB file that refcodec wrote", re.compile(rb"glTF\x02\x00\x00\x00.{8}JSON" + re.escape(_START.encode()), re.S)
 )
+
+
+def check_colours(render: RenderInfo) -> None:
+    """Raises ValueError for a scene whose colours are not those of SPACE."""
+    if render.colour_primaries not in _PRIMARIES or render.transfer_characteristics not in _TRANSFER:
+        raise ValueError(
+            f"its colours have primaries {render.colour_primaries} and transfer characteristics "
+            f"{render.transfer_characteristics} of ITU-T H.273, but must have 1 and 13, sRGB"
+        )
 
 
 def _attributes(splats: Splats) -> dict[str, NDArray]:
