@@ -25,6 +25,7 @@ from ..encoder.cloud import AnchorCloud
 from ..encoder.positions import choose_grid
 from ..encoder.quantise import packed
 from ..render.camera import Camera, spread_cameras
+from ..render.constants import ALPHA_MIN
 from ..render.rasterise import Settings
 from ..train.fit import fit
 from ..train.fit_input import Given
@@ -41,8 +42,6 @@ Progress = Callable[[str, int, int], None]
 
 # The most classes of anchors by importance. More of them save no bytes (own measurement).
 CLASSES = 4
-# Below this opacity, a Gaussian is not drawn (SPEC 14.5).
-OPACITY_LEAST = 1 / 255
 # Larger logits give nearly the same pictures, as an opacity at a pixel is at most alpha_max (SPEC 14.5). Importance is
 # measured with logits up to the second bound, because opacities at that maximum have no derivative.
 LOGIT_MAX, LOGIT_MEASURED = 8.0, 4.0
@@ -125,7 +124,7 @@ def measured(arrays: Mapping[str, F32], cameras: Sequence[Camera], settings: Set
 
     arrays: as splat_files.read_splats returns them.
     """
-    seen = 1 / (1 + np.exp(-arrays["opacity"].astype(np.float64))) >= OPACITY_LEAST
+    seen = 1 / (1 + np.exp(-arrays["opacity"].astype(np.float64))) >= ALPHA_MIN
     seen |= ~seen.any()
     chosen = {name: values[seen] for name, values in arrays.items()}
     table = numbers(chosen)
@@ -389,10 +388,8 @@ def _packed(scene: Scene) -> Scene:
     scene = packed(scene, None, None)
     assert scene.weight_scales is not None
     scales = scene.weight_scales.copy()
-    names = [name for name, _, _ in layers_of(scene.dimensions)]
-    for number, name in enumerate(names):
-        if name.partition(".")[0] in RENDERING:
-            network, _, layer = name.partition(".")
-            if (scene.networks[network][int(layer)][0] == 0).mean() > SPARSE:
-                scales[number, 1] = 0
+    for number, (name, _, _) in enumerate(layers_of(scene.dimensions)):
+        network, _, layer = name.partition(".")
+        if network in RENDERING and (scene.networks[network][int(layer)][0] == 0).mean() > SPARSE:
+            scales[number, 1] = 0
     return replace(scene, weight_scales=scales)

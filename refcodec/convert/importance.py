@@ -82,7 +82,7 @@ def splats_of(mean: Tensor, table: Tensor) -> dict[str, Tensor]:
         "mean": mean,
         "base": colour[:, 0],
         "rest": colour[:, 1:],
-        "opacity": table[:, 3],
+        "opacity": table[:, LOGIT.start],
         "scale": table[:, LENGTHS],
         "quaternion": torch.cat([torch.ones_like(table[:, :1]), table[:, TURN]], dim=1),
     }

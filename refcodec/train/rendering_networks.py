@@ -34,8 +34,9 @@ class RenderNetworks(nn.Module):
     """The rendering networks, with one hidden layer each, as torch starts linear layers.
 
     degree: of the harmonics of a static scene, None for a view-dependent scene. It can be lowered: the outputs of
-    higher harmonics are then not used. The networks of a static scene have integers in the file (SPEC 9.4). Their
-    buffers *_unit are the integers that stand for 1, of a feature and of each hidden unit.
+    higher harmonics are then not used. The networks of a static scene have integers in the file (SPEC 9.4). The buffers
+    *_unit are the integers that stand for 1: of a feature, each hidden unit and an output. In a view-dependent scene
+    they are 1.
     """
 
     def __init__(
@@ -62,6 +63,7 @@ class RenderNetworks(nn.Module):
                 self.register_buffer(f"{name}_{layer}_step", torch.ones(()))
             self.register_buffer(f"{name}_unit", torch.ones(width))
         self.register_buffer("feature_unit", torch.ones(()))
+        self.register_buffer("output_unit", torch.tensor(1.0 if degree is None else 2.0**OUTPUT_BITS))
         self.gridded = False
         if degree is not None:
             self._start_static()
@@ -98,16 +100,14 @@ class RenderNetworks(nn.Module):
         """Weights and biases of one of the three networks."""
         return [value for name, value in self.named_parameters() if name.startswith(network)]
 
-    def _units(self, name: str, value: Tensor) -> Tensor | float:
-        """The factor from a parameter to its value in the file."""
-        if self.degree is None:
-            return 1.0
+    def _units(self, name: str) -> Tensor:
+        """The factor from a parameter to its value in the file, which broadcasts."""
         layer, _, kind = name.rpartition("_")
         network, _, number = layer.rpartition("_")
-        unit = self.get_buffer(f"{network}_unit")
+        feature, hidden, output = map(self.get_buffer, ("feature_unit", f"{network}_unit", "output_unit"))
         if number == "0":
-            return unit[:, None] / self.get_buffer("feature_unit") if kind == "weight" else unit
-        return 2.0**OUTPUT_BITS / unit if kind == "weight" else 2.0**OUTPUT_BITS
+            return hidden[:, None] / feature if kind == "weight" else hidden
+        return output / hidden if kind == "weight" else output
 
     def _steps(self, name: str) -> Tensor:
         """The steps of the grid of a parameter, in the units of the file."""
@@ -118,7 +118,7 @@ class RenderNetworks(nn.Module):
         p = self._used()
         if not self.gridded:
             return p
-        return {name: grid_through(value, self._steps(name) / self._units(name, value)) for name, value in p.items()}
+        return {name: grid_through(value, self._steps(name) / self._units(name)) for name, value in p.items()}
 
     @torch.no_grad()
     def set_units(self, features: Tensor) -> None:
@@ -133,7 +133,7 @@ class RenderNetworks(nn.Module):
         """Makes weights and biases of each layer multiples of a power of two in the file (rendering_exponent)."""
         for name, value in self._used().items():
             if name.endswith("_weight"):
-                exponent = rendering_exponent((value * self._units(name, value)).cpu().numpy(), bits)
+                exponent = rendering_exponent((value * self._units(name)).cpu().numpy(), bits)
                 self._steps(name).fill_(2.0**-exponent)
         self.gridded = True
 
@@ -169,7 +169,7 @@ class RenderNetworks(nn.Module):
         """The weights that SPEC 5.8 stores."""
         p = {}
         for name, value in self._used().items():
-            stored = value * self._units(name, value)
+            stored = value * self._units(name)
             if self.gridded:
                 stored = torch.floor(stored / self._steps(name) + 0.5) * self._steps(name) + 0.0
             p[name] = stored.cpu().numpy().copy()

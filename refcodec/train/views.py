@@ -71,9 +71,9 @@ class Views:
 
         The networks, units and rasteriser are the training's own, and no anchor is left out.
         """
-        held, device = copy(self.scaffold), self.scaffold.device
         if scene.render.render_model == STATIC:
             return self._show_static(scene, camera)
+        held, device = copy(self.scaffold), self.scaffold.device
         held.lattice = scene.positions.astype(np.int64)
         held.place()
         decoded = reconstruct(scene)
