@@ -8,7 +8,7 @@
 
 #include <stddef.h>
 
-#define EXPORT(name) __attribute__((export_name(name)))
+#include "module.h"
 
 enum { NUMBERS = 6 + KERNEL_SLICES_MAX + 7 };
 

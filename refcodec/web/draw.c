@@ -8,12 +8,7 @@
 #include <stdint.h>
 #include <stdlib.h>
 #include <string.h>
-
-#if defined(__wasm__)
-#define EXPORT(name) __attribute__((export_name(name)))
-#else
-#define EXPORT(name)
-#endif
+#include "module.h"
 
 /* The names are those of SPEC.md, as far as they are in it. */
 enum {
@@ -85,19 +80,6 @@ static vector chosen(bits which, vector yes, vector no)
 }
 
 /* ------------------------------------------------------------------------------------------------ the networks -- */
-
-/* Gives pieces of a block, or counts them while there is none. */
-typedef struct {
-    uint8_t *block;
-    uint64_t used;
-} pieces;
-
-static void *piece(pieces *p, uint64_t count, uint64_t size)
-{
-    uint64_t at = p->used;
-    p->used += (count * size + 15) / 16 * 16;
-    return p->block ? p->block + at : NULL;
-}
 
 /* Returns memory of zeros, or NULL. */
 static void *zeros(uint64_t size) { return size <= SIZE_MAX ? calloc(1, (size_t)size) : NULL; }

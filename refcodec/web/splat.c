@@ -5,12 +5,7 @@
 #if defined(__wasm_simd128__)
 #include <wasm_simd128.h>
 #endif
-
-#if defined(__wasm__)
-#define EXPORT(name) __attribute__((export_name(name)))
-#else
-#define EXPORT(name)
-#endif
+#include "module.h"
 
 /* The names are those of SPEC.md, as far as they are in it. */
 enum {
@@ -58,19 +53,6 @@ typedef struct {
     uint32_t features, offsets, colours, units, outputs;
     rows hidden, last;
 } splatter;
-
-/* Gives pieces of a block, or counts them while there is none. */
-typedef struct {
-    uint8_t *block;
-    uint64_t used;
-} pieces;
-
-static void *piece(pieces *p, uint64_t count, uint64_t size)
-{
-    uint64_t at = p->used;
-    p->used += (count * size + 15) / 16 * 16;
-    return p->block ? p->block + at : NULL;
-}
 
 static uint32_t whole(uint32_t count, uint32_t unit) { return (count + unit - 1) / unit * unit; }
 
