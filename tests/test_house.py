@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from graphlib import CycleError, TopologicalSorter
 
 import pytest
 
-from spec.house import ROOMS, imports, modules, room
+from spec.house import ROOMS, ROOT, imports, modules, room
 
 BITSTREAM, SECOND = "refcodec.bitstream", "conformance.spec_decoder"
 NATIVE = "refcodec.native"
@@ -54,3 +55,9 @@ def test_what_is_private_stays_in_its_module() -> None:
     for module in modules():
         taken = {name for names in imports(module).values() for name in names if name.startswith("_")}
         assert {name for name in taken if not name.endswith("__")} == set(), module
+
+
+def test_test_files_have_names_of_their_own() -> None:
+    """pytest imports a test file by its name alone: two of one name fail only where both are collected."""
+    names = Counter(path.name for path in (ROOT / "tests").rglob("*.py") if path.name != "conftest.py")
+    assert [name for name, count in names.items() if count > 1] == []
