@@ -88,7 +88,7 @@ def faulty(draw: st.DrawFn, error: str) -> Refused:
 @pytest.mark.no_cover
 @pytest.mark.requirement("D15.4-1")
 @pytest.mark.parametrize("name", REGISTRY)
-@settings(max_examples=25)
+@settings(max_examples=8)
 @given(st.data())
 def test_fault(name: str, data: st.DataObject) -> None:
     """Both decoders refuse a file with one fault by its code, at its offset."""
