@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from ..bitstream.cameras import NamedCamera
+    from ..bitstream.header import RenderInfo
     from ..bitstream.scene import Scene
     from ..export.splats import Packed, Splats
     from ..export.views import Views
@@ -165,7 +166,7 @@ def _write_static(
         raise UsageError(f"{arguments.file} is the folder of an uncompressed static scene: encode it first")
     splats = static_splats(scene)
     up = scene_up(scene.render.up_axis, cameras(scene.ancillary))
-    packed = _packed(arguments, outputs, splats, up)
+    packed = _packed(arguments, outputs, splats, up, scene.render)
     for output, each in zip(outputs, packed, strict=True):
         write_file(output, each.data)
         said = f"{output}: {counted(len(splats.mean), 'Gaussian')}, degree {splats.degree}, "
@@ -174,12 +175,16 @@ def _write_static(
 
 
 def _packed(
-    arguments: argparse.Namespace, outputs: list[Path], splats: Splats, up: NDArray[np.float64]
+    arguments: argparse.Namespace, outputs: list[Path], splats: Splats, up: NDArray[np.float64], render: RenderInfo
 ) -> list[Packed]:
     """Returns the files of Gaussians. Raises UsageError if a format cannot hold them or needs a missing package."""
     from ..export.formats import splat_file
+    from ..export.glb import check_colours
 
     try:
+        # Only GLB states the colour space.
+        if any(output.suffix.lower() == GLB_SUFFIX for output in outputs):
+            check_colours(render)
         return [splat_file(splats, output.suffix.lower(), up, _spz_bits(arguments)) for output in outputs]
     except ModuleNotFoundError as error:
         raise needs("a .sog file", "render", error, RENDER_PACKAGES) from None
@@ -263,7 +268,7 @@ def _export_fitted(arguments: argparse.Namespace, outputs: list[Path], shown: by
     try:
         with progress_bar(arguments.progress) as progress:
             fitted = fit(view, views.fit, degree, iterations, progress)
-            packed = _packed(arguments, outputs, fitted.splats, view.up)
+            packed = _packed(arguments, outputs, fitted.splats, view.up, scene.render)
             near = [agreement(view, each.splats, views.test, progress) for each in packed]
     except ValueError as error:
         raise UsageError(f"{arguments.file} cannot be exported: {error}") from None

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 import refcodec
-from refcodec.bitstream.codec import parse
+from refcodec.bitstream.codec import emit, parse
 from refcodec.bitstream.reconstruction import gaussians
 from refcodec.bitstream.scene import Scene
 from refcodec.bitstream.splat import HARMONICS
@@ -29,6 +29,7 @@ from refcodec.export.splats import Splats, opacities, static_splats
 from refcodec.render.camera import axis_direction
 from refcodec.render.gaussians import RenderModelError
 from refcodec.render.harmonics import REST
+from refcodec.statuses import USAGE
 
 VALID = Path(__file__).resolve().parents[2] / "vectors" / "valid"
 SCENES = sorted(path.stem for path in VALID.glob("static-*.c3gs"))
@@ -191,3 +192,17 @@ def test_decode_splat(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     with pytest.raises(ValueError, match="depend on the view"):
         refcodec.gaussians(other)
     assert not (tmp_path / "b.ply").exists()
+
+
+@pytest.mark.parametrize("option", ["--glb=plain", "--glb=c3gs"])
+def test_glb_states_its_colour_space(option: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A GLB file can state sRGB, but not the colours of BT.2020. A PLY file states none."""
+    scene = scene_of("static-degree-1")
+    file = tmp_path / "a.c3gs"
+    file.write_bytes(emit(replace(scene, render=replace(scene.render, colour_primaries=9))))
+    assert main(["export", str(file), "-o", str(tmp_path / "a.glb"), option]) == USAGE
+    assert (
+        "primaries 9 and transfer characteristics 13 of ITU-T H.273, but must have 1 and 13" in capsys.readouterr().err
+    )
+    assert not (tmp_path / "a.glb").exists()
+    assert main(["export", str(file), "-o", str(tmp_path / "a.ply")]) == 0
