@@ -203,7 +203,7 @@ def section(sources: dict[str, Path], anchors: int, rounds: int) -> list[str]:
         "",
         f"C3GS has the symbols of `{TRAINED.name}`, as in `decode`. The static scene has random rendering networks.",
         f"Its parts are {parts['symbols']:.3f} s for symbols, {parts['values']:.3f} s for values, and"
-        f" {parts['Gaussians']:.3f} s for Gaussians (NumPy).",
+        f" {parts['Gaussians']:.3f} s for Gaussians.",
         "The others have copies of the Gaussians that `refcodec export` fits to this scene, in random orders. A file",
         "of one copy, and the PSNR of its pictures relative to those of the Gaussians before quantisation:",
         "",

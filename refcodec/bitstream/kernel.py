@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..native.library import REFUSED_FORM, REFUSED_STEPS, Kernel, Verdict, kernel
-from ..native.scene import Anchors, ChunkBytes, NativeScene, values, weight_symbols
+from ..native.scene import Anchors, ChunkBytes, NativeScene, splats, values, weight_symbols
 from .chunks import CodedChunk
 from .dimensions import RENDERING, Dimensions
 from .entropy import end_error, open_substream
@@ -112,6 +112,7 @@ __all__ = [
     "error_name",
     "kernel",
     "native_scene",
+    "splats",
     "substream_error",
     "values",
     "weight_symbols",

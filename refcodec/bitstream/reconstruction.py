@@ -15,9 +15,9 @@ from . import syntax
 from .attributes import KINDS
 from .batches import GROUP_ANCHORS
 from .conventions import F32, f32_parts, round_to_f32
-from .dimensions import STATIC, dimension_fields
+from .dimensions import RENDERING, STATIC, dimension_fields
 from .header import render_fields
-from .kernel import Kernel, kernel, values
+from .kernel import Kernel, kernel, splats, values
 from .positions import position_integers
 from .scene import Scene
 from .splat import HARMONICS, Rendering, derive_rendering, splat
@@ -135,6 +135,10 @@ def gaussians(scene: Scene, r: Reconstruction | None = None, rendering: Renderin
     """
     r = reconstruct(scene) if r is None else r
     networks = derive_rendering(scene.networks) if rendering is None else rendering
+    used = kernel()
+    if used is not None:
+        layers = [(each.weight, each.bias, each.exponent) for name in RENDERING for each in networks[name].layers]
+        return splats(used, layers, r.positions, scene.masks, r.features, r.scalings, r.offsets)
     place = np.concatenate([[0], np.cumsum(scene.masks.sum(axis=1))])
     found = np.empty((int(place[-1]), HARMONICS.start + scene.dimensions.colour_outputs), np.float32)
     # The integers of a block stay in the cache, and take little memory.

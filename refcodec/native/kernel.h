@@ -19,7 +19,7 @@
 #endif
 
 /* The version of this interface. The binding refuses a library with another one. */
-enum { KERNEL_VERSION = 2 };
+enum { KERNEL_VERSION = 3 };
 
 /* Statuses that are no error codes of SPEC 10.3. */
 enum {
@@ -94,6 +94,7 @@ typedef struct {
 
 typedef struct kernel_tables kernel_tables;
 typedef struct kernel_scene kernel_scene;
+typedef struct kernel_splatter kernel_splatter;
 
 KERNEL_API int32_t kernel_version(void);
 /* The variants that this library has, the best one last, and whether this machine can run one. NULL past the end. */
@@ -128,5 +129,22 @@ KERNEL_API void kernel_free(void *memory);
 /* SPEC 9.2: values[i, j] = symbols[i, j] * step[index[i * stride]], rows by width. step: float32 [64]. */
 KERNEL_API void kernel_values(int32_t variant, const int32_t *symbols, const uint8_t *index, int64_t stride,
                               const float *step, int64_t rows, int64_t width, float *values);
+
+/* The rendering networks of a static scene (SPEC 9.4), to be freed with kernel_free. colours: the outputs of the colour
+ * network for an offset. weight, bias, exponent: of all layers in file order, as DERIVE_ROW gives them.
+ *
+ * Returns NULL without memory, or for numbers outside SPEC 11.1.
+ */
+KERNEL_API kernel_splatter *kernel_splatter_new(uint32_t features, uint32_t width, uint32_t offsets, uint32_t colours,
+                                                const int16_t *weight, const int32_t *bias, const uint8_t *exponent);
+/* SPEC 9.4, SPLAT. mean, length, quaternion, logit, harmonic: where the numbers of the first Gaussian go. stride: from
+ * the numbers of one Gaussian to those of the next, or 0 if each array has them without gaps. room: in Gaussians.
+ *
+ * Returns the number of Gaussians, or KERNEL_REFUSED if they do not fit.
+ */
+KERNEL_API int32_t kernel_splat(const kernel_splatter *splatter, uint32_t count, const float *position,
+                                const uint8_t *mask, const float *feature, const float *scaling, const float *offset,
+                                uint32_t room, uint32_t stride, float *mean, float *length, float *quaternion,
+                                float *logit, float *harmonic);
 
 #endif

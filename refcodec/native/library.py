@@ -24,7 +24,7 @@ NUMPY, NATIVE = "numpy", "native"
 LIBRARY = Path(__file__).with_name("kernel.so")
 THREADS_MAX = 256
 # kernel.h: the version of its interface, its statuses that are not error codes, and its array lengths.
-VERSION = 2
+VERSION = 3
 DONE, NO_MEMORY, REFUSED, REFUSED_FORM, REFUSED_STEPS = 0, -1, -2, -3, -4
 SLICES_MAX, PARTS, PLANES, NUMBERS = 16, 3, 5, 2
 
@@ -98,7 +98,7 @@ class Chunk(ctypes.Structure):
     )
 
 
-_INT32, _INT64, _UINT64 = ctypes.c_int32, ctypes.c_int64, ctypes.c_uint64
+_INT32, _UINT32, _INT64, _UINT64 = ctypes.c_int32, ctypes.c_uint32, ctypes.c_int64, ctypes.c_uint64
 # kernel.h: the result and the parameters of each function.
 _FUNCTIONS = {
     "kernel_version": (_INT32, []),
@@ -117,6 +117,8 @@ _FUNCTIONS = {
     "kernel_decode_chunks": (None, [Pointer, Pointer, _INT64, _INT32]),
     "kernel_encode_chunks": (None, [Pointer, Pointer, _INT64, _INT32]),
     "kernel_free": (None, [Pointer]),
+    "kernel_splatter_new": (Pointer, [*[_UINT32] * 4, Pointer, Pointer, Pointer]),
+    "kernel_splat": (_INT32, [Pointer, _UINT32, *[Pointer] * 5, _UINT32, _UINT32, *[Pointer] * 5]),
     "kernel_values": (None, [_INT32, Pointer, Pointer, _INT64, Pointer, _INT64, _INT64, Pointer]),
 }
 

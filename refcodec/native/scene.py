@@ -56,6 +56,11 @@ def _flat(arrays: list[NDArray[np.int64]], kind: type) -> NDArray[Any]:
     return np.concatenate([np.zeros(0, np.int64), *(array.reshape(-1) for array in arrays)]).astype(kind)
 
 
+def _joined(layers: Layers) -> list[NDArray[Any]]:
+    """Returns the weights, biases and exponents of all layers, in the dtypes of kernel.h."""
+    return [_flat([layer[i] for layer in layers], kind) for i, kind in enumerate((np.int16, np.int32, np.uint8))]
+
+
 @cache
 def _tables(kernel: Kernel, file: bytes) -> int:
     """Returns the kernel's tables from the shipped file. They are kept until the process ends."""
@@ -82,9 +87,7 @@ class NativeScene:
         self._shape = numbers["offset_count"], sum(numbers["slice_width"])
         held = {
             "shape": np.array([weight.shape for weight, _, _ in layers], np.int32).reshape(-1),
-            "weight": _flat([weight for weight, _, _ in layers], np.int16),
-            "bias": _flat([bias for _, bias, _ in layers], np.int32),
-            "exponent": _flat([exponent for _, _, exponent in layers], np.uint8),
+            **dict(zip(("weight", "bias", "exponent"), _joined(layers), strict=True)),
             **{name: np.ascontiguousarray(array) for name, array in arrays.items()},
         }
         fields = {name: value for name, value in numbers.items() if name != "slice_width"}
@@ -249,4 +252,36 @@ def values(
         given.size // rows if rows else 0,
         found.ctypes.data,
     )
+    return found
+
+
+def splats(
+    kernel: Kernel,
+    layers: Layers,
+    positions: NDArray[np.float32],
+    masks: NDArray[np.bool_],
+    features: NDArray[np.float32],
+    scalings: NDArray[np.float32],
+    offsets: NDArray[np.float32],
+) -> NDArray[np.float32]:
+    """SPEC 9.4, SPLAT: returns the Gaussians of anchors, float32 [kept offsets, 11 + colour_outputs].
+
+    layers: for each layer of the rendering networks, weights, biases and exponents, int64. The rest is as in
+    bitstream.splat.splat. Raises MemoryError.
+    """
+    (width, inputs), k = layers[0][0].shape, masks.shape[1]
+    colours = len(layers[-1][1]) // k
+    held = [np.ascontiguousarray(array) for array in (positions, masks, features, scalings, offsets)]
+    found = np.empty((np.count_nonzero(masks), 11 + colours), np.float32)
+    joined = _joined(layers)
+    networks = kernel.library.kernel_splatter_new(inputs, width, k, colours, *map(_address, joined))
+    if not networks:
+        raise MemoryError("no memory for the rendering networks in the native kernel")
+    # The first numbers of the mean, the lengths, the quaternion, the opacity and the harmonics.
+    to = [found.ctypes.data + found.itemsize * column for column in (0, 3, 6, 10, 11)]
+    given = [array.ctypes.data for array in held]
+    count = kernel.library.kernel_splat(networks, len(masks), *given, len(found), found.shape[1], *to)
+    kernel.library.kernel_free(networks)
+    if count != len(found):
+        raise RuntimeError("the native kernel refused validated input: please report this bug")
     return found

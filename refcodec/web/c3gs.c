@@ -8,7 +8,7 @@
 
 #include <stddef.h>
 
-#include "module.h"
+#include "../native/module.h"
 
 enum { NUMBERS = 6 + KERNEL_SLICES_MAX + 7 };
 

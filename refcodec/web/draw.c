@@ -8,7 +8,7 @@
 #include <stdint.h>
 #include <stdlib.h>
 #include <string.h>
-#include "module.h"
+#include "../native/module.h"
 
 /* The names are those of SPEC.md, as far as they are in it. */
 enum {

@@ -3,7 +3,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "module.h"
+#include "../native/module.h"
 
 enum { BLOCK = 64, ROUNDS = 64, LENGTH_AT = 56, DIGEST = 32 };
 

@@ -4,7 +4,7 @@
  * stdout: the status or the count, and then the numbers of each Gaussian in a row. If `rows` is 0, the arrays without
  * gaps are computed, and joined here.
  */
-#include "../../refcodec/web/splat.c"
+#include "../../refcodec/native/splat.c"
 
 #include <stdio.h>
 
@@ -28,7 +28,7 @@ int main(void)
     void *layers[3] = {numbers(in->weights, 2), numbers(in->biases, 4), numbers(in->biases, 1)};
     void *array[5] = {numbers(n, 12), numbers(n, k), numbers(n, 4 * (size_t)in->features), numbers(n, 4 * SCALINGS),
                       numbers(n, 12 * k)};
-    splatter *s = web_make_splatter(in->features, in->width, in->offsets, in->colours, layers[0], layers[1], layers[2]);
+    splatter *s = kernel_splatter_new(in->features, in->width, in->offsets, in->colours, layers[0], layers[1], layers[2]);
     const uint32_t widths[5] = {3, 3, 4, 1, in->colours}, all = 11 + in->colours;
     float *to[5], *row = malloc(4 * (size_t)all * in->room + 1);
     if (!row) exit(70);
@@ -36,9 +36,9 @@ int main(void)
         to[i] = in->rows ? row + at : malloc(4 * (size_t)widths[i] * in->room + 1);
         if (!to[i]) exit(70);
     }
-    int32_t status = REFUSED;
+    int32_t status = KERNEL_REFUSED;
     if (s)
-        status = web_splat(s, in->anchors, array[0], array[1], array[2], array[3], array[4], in->room,
+        status = kernel_splat(s, in->anchors, array[0], array[1], array[2], array[3], array[4], in->room,
                            in->rows ? all : 0, to[0], to[1], to[2], to[3], to[4]);
     for (uint32_t i = 0, at = 0; !in->rows && i < 5; at += widths[i++]) {
         for (int32_t g = 0; g < status; g++)

@@ -4,6 +4,8 @@
 #include <string.h>
 #if defined(__wasm_simd128__)
 #include <wasm_simd128.h>
+#elif defined(__SSE2__)
+#include <emmintrin.h>
 #endif
 #include "module.h"
 
@@ -32,9 +34,6 @@ enum {
     LANES = 8,
 };
 
-/* What a function returns instead of a count. */
-enum { REFUSED = -2 };
-
 static const int64_t exp2_terms[TERMS] = {1073741824, 744260848, 257945537, 59571654, 10398739, 1330132, 234908};
 
 typedef int16_t shorts __attribute__((vector_size(16), aligned(2), may_alias));
@@ -49,7 +48,7 @@ typedef struct {
 } rows;
 
 /* The networks. hidden: [NETWORKS][units] rows. last: [offsets][outputs] rows. */
-typedef struct {
+typedef struct kernel_splatter {
     uint32_t features, offsets, colours, units, outputs;
     rows hidden, last;
 } splatter;
@@ -82,12 +81,9 @@ static void take_row(rows *to, uint32_t row, source *from, uint32_t inputs)
     from->weight += inputs;
 }
 
-/* weight, bias, exponent: of all layers of the rendering networks in file order, as DERIVE_ROW gives them. colours: the
- * outputs of the colour network for an offset. Returns NULL without memory, or for wrong numbers.
- */
 EXPORT("makeSplatter")
-splatter *web_make_splatter(uint32_t features, uint32_t width, uint32_t offsets, uint32_t colours,
-                            const int16_t *weight, const int32_t *bias, const uint8_t *exponent)
+splatter *kernel_splatter_new(uint32_t features, uint32_t width, uint32_t offsets, uint32_t colours,
+                              const int16_t *weight, const int32_t *bias, const uint8_t *exponent)
 {
     if (features < 1 || features > WIDTH_MAX || width < 1 || width > WIDTH_MAX) return NULL;
     if (offsets < 1 || offsets > OFFSETS_MAX || colours < 1 || colours > HARMONICS_MAX) return NULL;
@@ -117,6 +113,8 @@ static ints pair_products(shorts a, shorts b)
 {
 #if defined(__wasm_simd128__)
     return (ints)wasm_i32x4_dot_i16x8((v128_t)a, (v128_t)b);
+#elif defined(__SSE2__)
+    return (ints)_mm_madd_epi16((__m128i)a, (__m128i)b);
 #else
     ints sums;
     for (int i = 0; i < 4; i++) sums[i] = a[2 * i] * b[2 * i] + a[2 * i + 1] * b[2 * i + 1];
@@ -124,11 +122,15 @@ static ints pair_products(shorts a, shorts b)
 #endif
 }
 
+/* Four of the numbers of two vectors, by their places. */
+#if defined(__clang__) || __GNUC__ >= 12
+#define PICK(a, b, ...) __builtin_shufflevector(a, b, __VA_ARGS__)
+#else
+#define PICK(a, b, ...) __builtin_shuffle(a, b, (ints){__VA_ARGS__})
+#endif
+
 /* Returns a0 + a2, b0 + b2, a1 + a3, b1 + b3. */
-static ints pair_sums(ints a, ints b)
-{
-    return __builtin_shufflevector(a, b, 0, 4, 1, 5) + __builtin_shufflevector(a, b, 2, 6, 3, 7);
-}
+static ints pair_sums(ints a, ints b) { return PICK(a, b, 0, 4, 1, 5) + PICK(a, b, 2, 6, 3, 7); }
 
 /* SPEC 7.2: the outputs of `count` rows from `row` on, a multiple of ROWS. Each sum is below ACCUMULATOR_BOUND. */
 static void outputs(const rows *r, uint32_t row, uint32_t count, const int16_t *inputs, int32_t *to)
@@ -142,7 +144,7 @@ static void outputs(const rows *r, uint32_t row, uint32_t count, const int16_t *
                 sum[j] += pair_products(own, *(const shorts *)(weight + (size_t)j * r->stride + i));
         }
         ints few = pair_sums(sum[0], sum[1]), more = pair_sums(sum[2], sum[3]);
-        ints found = __builtin_shufflevector(few, more, 0, 1, 4, 5) + __builtin_shufflevector(few, more, 2, 3, 6, 7);
+        ints found = PICK(few, more, 0, 1, 4, 5) + PICK(few, more, 2, 3, 6, 7);
         found += *(const ints *)(r->bias + row);
         for (uint32_t j = 0; j < ROWS; j++) to[j] = found[j] >> r->shift[row + j];
     }
@@ -182,15 +184,11 @@ static float product(float x, int64_t m, float unit)
     return (float)((double)rounded * power * (double)unit);
 }
 
-/* SPEC 9.4, SPLAT. mean, length, quaternion, logit, harmonic: where the numbers of the first Gaussian go. stride: from
- * the numbers of one Gaussian to those of the next, or 0 if each array has them without gaps. room: in Gaussians.
- *
- * Returns the number of Gaussians, or REFUSED if they do not fit.
- */
+/* SPEC 9.4, SPLAT. */
 EXPORT("splat")
-int32_t web_splat(const splatter *s, uint32_t count, const float *position, const uint8_t *mask, const float *feature,
-                  const float *scaling, const float *offset, uint32_t room, uint32_t stride, float *mean,
-                  float *length, float *quaternion, float *logit, float *harmonic)
+int32_t kernel_splat(const splatter *s, uint32_t count, const float *position, const uint8_t *mask,
+                     const float *feature, const float *scaling, const float *offset, uint32_t room, uint32_t stride,
+                     float *mean, float *length, float *quaternion, float *logit, float *harmonic)
 {
     const float output_unit = 1.0f / (1 << OUTPUT_BITS), scaling_unit = 1.0f / (1 << SCALING_BITS);
     int16_t inputs[WIDTH_MAX] = {0}, hidden[NETWORKS][WIDTH_MAX] = {{0}};
@@ -215,7 +213,7 @@ int32_t web_splat(const splatter *s, uint32_t count, const float *position, cons
         for (int axis = 0; axis < 3; axis++) m[axis] = exponential(scales[axis], &unit[axis]);
         for (uint32_t k = 0; k < s->offsets; k++) {
             if (!mask[k]) continue;
-            if (found == room) return REFUSED;
+            if (found == room) return KERNEL_REFUSED;
             const uint32_t first[NETWORKS + 1] = {LOGIT, LENGTHS, HARMONICS, s->outputs};
             for (uint32_t n = 0; n < NETWORKS; n++)
                 outputs(&s->last, k * s->outputs + first[n], first[n + 1] - first[n], hidden[n], own + first[n]);
