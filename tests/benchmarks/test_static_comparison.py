@@ -17,16 +17,17 @@ def test_the_section_of_peers_is_read() -> None:
     peers = shown(RESULTS.read_text())
     for scene in ("brighton_aerial", "caliterra", "playbot", "snowmiku"):
         for kind in ("C3GS", "3DGS, SPZ"):
-            sizes = [p.bytes.mean for p in peers[scene, kind]]
+            sizes = [p.bytes.mean for p in peers[scene, 200, kind]]
             assert len(sizes) >= 4
             assert sizes == sorted(sizes)
-            assert all(5 < p.psnr.mean < 60 and p.seeds == 3 for p in peers[scene, kind])
+            assert all(5 < p.psnr.mean < 60 and p.seeds == 3 for p in peers[scene, 200, kind])
 
 
 def test_rows() -> None:
-    peers = {("a", "C3GS"): [point(100, 30), point(400, 32)], ("a", "3DGS, SPZ"): [point(1000, 31), point(4000, 33)]}
-    assert psnr_at(peers["a", "C3GS"], 200) == pytest.approx(31)
-    assert psnr_at(peers["a", "C3GS"], 99) is None
+    own, spz = [point(100, 30), point(400, 32)], [point(1000, 31), point(4000, 33)]
+    peers = {("a", 200, "C3GS"): own, ("a", 200, "3DGS, SPZ"): spz, ("a", 400, "C3GS"): spz}
+    assert psnr_at(own, 200) == pytest.approx(31)
+    assert psnr_at(own, 99) is None
     found = rows([Scene("a", 200, {"static": [point(200, 32), point(900, 34)]})], peers)
-    assert found[0][5:8] == ["+1.00", "2,000", "10.0"]
-    assert found[1][5:8] == ["", "", ""]
+    assert found[0][6:9] == ["+1.00", "2,000", "10.0"]
+    assert found[1][6:9] == ["", "", ""]
