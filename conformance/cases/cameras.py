@@ -35,14 +35,15 @@ def _text() -> dict[str, Any]:
     return spec_decoder.names()
 
 
-def expected(data: bytes, camera: dict[str, Any]) -> bytes:
-    """Returns the list of Gaussians of a file for a camera, as JSON."""
+def expected(data: bytes, camera: dict[str, Any], text: dict[str, Any] | None = None) -> bytes:
+    """Returns the list of Gaussians of a file for a camera, as JSON. text: the names of SPEC.md's blocks, if known."""
+    text = _text() if text is None else text
     scene = codec.parse(data).scene
     values, centre = reconstruct(scene), read_camera(json.dumps(camera)).centre.tolist()
     if scene.render.render_model == STATIC:
         places = np.argwhere(scene.masks).tolist()
         numbers = splat_of(scene, values).astype(np.float64).tolist()
-        seen = [_text()["STATIC_GAUSSIAN"](each, centre) for each in numbers]
+        seen = [text["STATIC_GAUSSIAN"](each, centre) for each in numbers]
         return _document([_row(n, k, each) for (n, k), each in zip(places, seen, strict=True)])
     networks = {name: [(w.tolist(), b.tolist()) for w, b in scene.networks[name]] for name in RENDERING}
     found = []
@@ -57,7 +58,7 @@ def expected(data: bytes, camera: dict[str, Any]) -> bytes:
             # One offset at a time, so that the offset of each Gaussian is known.
             alone = [kept and i == k for i, kept in enumerate(mask)]
             unit = scene.render.distance_unit
-            seen = _text()["GAUSSIANS"](networks, position, feature, scaling, offsets, alone, centre, unit)
+            seen = text["GAUSSIANS"](networks, position, feature, scaling, offsets, alone, centre, unit)
             found += [_row(n, k, gaussian) for gaussian in seen]
     return _document(found)
 
