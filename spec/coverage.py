@@ -3,12 +3,14 @@
 The second decoder, which is made from the blocks, runs with a probe at each statement of its functions, and with two at
 each condition: for true and for false. A condition is an operand of `and`, `or` and `not`, or else the whole test of a
 statement, of a comprehension or of REQUIRE. A place that no vector reaches is a hole, unless `argued` gives a reason.
+A third kind of probe keeps the extremes of the integers that 7.11 bounds.
 """
 
 from __future__ import annotations
 
 import ast
 import os
+import re
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
@@ -22,7 +24,7 @@ from conformance.cases.cameras import expected
 from conformance.manifest import VECTORS, GaussiansOf, Manifest, Vector, load
 from conformance.spec_decoder import Names, blocks
 
-from .decoder import TARGET
+from .decoder import SPEC, TARGET
 
 LINE, TRUE, FALSE = "is not run", "is never true", "is never false"
 # Functions of images, which no vector has: tests/render compares the renderer with them.
@@ -30,6 +32,56 @@ IMAGES = {"ROTATION", "PRODUCT", "PROJECT", "PIXEL"}
 # Places that need no vector, by function, text and what does not happen there, with the reason.
 ARGUED = {
     ("LOGISTIC", "x > -700", FALSE): "a guard for exp: the result is 0 within every tolerance",
+}
+
+# A quantity counts as reached if its largest magnitude has the bits of its bound, or one bit less.
+SLACK = 1
+# Why no vector reaches the bound of a quantity.
+TOO_LARGE = {
+    "u (s - 1)": "planes of 1024: a trial",
+    "raw bits of a substream": "a section of 2^48 bytes",
+    "sum of the entries' lengths": "2^26 chunks",
+    "sum of the sections' lengths": "a file of 2^64 bytes",
+    "work": "more than level 5",
+}
+_STATE = "(x >> PRECISION)"
+# Quantities of 7.11, each with the function and the expression that computes it.
+QUANTITIES = {
+    ("NETWORK", "sum([x * a for x, a in zip(w, inputs)]) + b"): "accumulator of a row",
+    ("CONTEXT", "POSITION_INTEGER(b)"): "P",
+    ("FRAME_COORDINATES", "t"): "frame sum",
+    ("FRAME_COORDINATES", "CLAMP(RSHIFT_ROUND(t, frame['shift'][r]), -FRAME_CLAMP, FRAME_CLAMP)"): "v",
+    ("CONTRACT", "q"): "q",
+    ("CONTRACT", "ISQRT(q)"): "n",
+    ("CONTRACT", "2 * n - unit"): "2 n - U",
+    ("CONTRACT", "(2 * n - unit) * unit"): "(2 n - U) U",
+    ("CONTRACT", "x * f"): "v f",
+    ("CONTRACT", "x * f // n"): "w",
+    ("RESCALE", "x - a << UNIT_BITS"): "(w - low) U",
+    ("QUERY", "x * (size - 1)"): "u (s - 1)",
+    ("QUERY", "t"): "sum of four weighted symbols",
+    ("group", "hyper[n][c] + dm"): "mean, scale index",
+    ("SELECT", "mean - 8 * ((1 << k) - 1)"): "mean - 8 (2^k - 1), rounded",
+    ("READ_ESCAPE", "(1 << z) + READ_BITS(stream, z)"): "n of an escape",
+    ("DECODE_VALUES", "value"): "symbol before its range is checked",
+    (
+        "DECODE_SYMBOL",
+        "frequencies[symbol] * (x >> PRECISION) + slot - low",
+    ): "frequency * (x >> PRECISION) + slot - low",
+    ("READ_BITS", "at + 1"): "raw bits of a substream",
+    ("WORLD", "grid['origin'][axis] + grid['scale_mantissa'] * p"): "origin + S P",
+    ("STEP_VALUE", "STEP[step_index] * m"): "step_table * m",
+    ("VALUE", "symbol * m"): "symbol * m",
+    ("EXPONENTIAL", "t * LOG2_E"): "s LOG2_E",
+    ("EXPONENTIAL", "m * fraction"): "m fraction",
+    ("SPLAT", "own * m"): "significand of an offset times m",
+    ("SPLAT", "s[3 + i] + c"): "logarithm of a length in 2^-SCALING_BITS",
+    ("PACKED_LAYER", "e"): "grid exponent of any row, as a sum before the check",
+    ("CELL_NUMBER", "abs(n) << cell_shift"): "coordinate of a cell as an integer",
+    ("CHECK_SUBSTREAM", "8 + 4 * lanes + 2 * U(data, at + 4, 4)"): "bytes that the head of a substream implies",
+    ("PARSE_PLANES", "20 + sum([PAD4(n) for n in lengths])"): "bytes that a PlaneTable or the head of a chunk implies",
+    ("PARSE_INDEX", "sum([x['length'] for x in entries])"): "sum of the entries' lengths",
+    ("WORK", "v['anchor_count'][0] * anchor + symbols * plane"): "work",
 }
 
 
@@ -74,6 +126,17 @@ class _Probes(ast.NodeTransformer):
         self._site(node, text, FALSE)
         name, at = ast.Name("_condition", ast.Load()), ast.Constant(number)
         return ast.Call(name, [at, self.visit(node)], [])
+
+    def visit(self, node: ast.AST) -> Any:
+        """Returns a node with its probes. An expression of QUANTITIES also keeps its extremes."""
+        key = None
+        if self._functions and isinstance(node, ast.expr) and isinstance(getattr(node, "ctx", ast.Load()), ast.Load):
+            key = self._functions[-1], ast.unparse(node)
+        node = super().visit(node)
+        if key in QUANTITIES:
+            assert isinstance(node, ast.expr)
+            node = ast.Call(ast.Name("_extreme", ast.Load()), [ast.Constant(QUANTITIES[key]), node], [])
+        return node
 
     def visit_FunctionDef(self, node: ast.FunctionDef) -> ast.AST:
         self._functions.append(node.name)
@@ -128,63 +191,90 @@ class _Probes(ast.NodeTransformer):
         yield node
 
 
-def probed() -> tuple[Names, bytearray, list[Site]]:
-    """Returns the names of a second decoder with probes, what they have seen, and their sites."""
+@dataclass(frozen=True)
+class Probed:
+    """A second decoder with probes.
+
+    names: as those of spec_decoder.names. seen: a byte for each site, 1 if it was reached. extremes: the least and the
+    greatest value of each quantity of QUANTITIES that was computed. Callers may reset both.
+    """
+
+    names: Names
+    seen: bytearray
+    sites: list[Site]
+    extremes: dict[str, tuple[int, int]]
+
+
+def probed() -> Probed:
+    """Returns a second decoder with probes."""
     source = TARGET.read_text(encoding="utf-8")
     probes = _Probes(source)
     tree = ast.fix_missing_locations(probes.visit(ast.parse(source)))
     seen = bytearray(len(probes.sites))
+    extremes: dict[str, tuple[int, int]] = {}
 
     def condition(number: int, value: Any) -> Any:
         seen[number if value else number + 1] = 1
         return value
 
+    def extreme(quantity: str, value: int) -> int:
+        least, greatest = extremes.get(quantity, (value, value))
+        if value <= least or value >= greatest:
+            extremes[quantity] = min(least, value), max(greatest, value)
+        return value
+
     space: Names = {"__name__": blocks.__name__, "__package__": blocks.__package__, "_seen": seen}
-    space["_condition"] = condition
-    exec(compile(tree, str(TARGET), "exec"), space)
-    return space, seen, probes.sites
+    space["_condition"], space["_extreme"] = condition, extreme
+    exec(compile(ast.unparse(tree), str(TARGET), "exec"), space)
+    return Probed(space, seen, probes.sites, extremes)
 
 
 @cache
-def _probed() -> tuple[Names, bytearray, list[Site]]:
+def _probed() -> Probed:
     return probed()
 
 
-def reached(data: bytes, camera: dict[str, Any] | None = None) -> list[int]:
-    """Returns the numbers of the probes that a file reaches. camera: for which its Gaussians are computed, or None."""
-    space, seen, _ = _probed()
-    seen[:] = bytes(len(seen))
-    if camera is None:
-        spec_decoder.verdict(space, data)
-    else:
-        expected(data, camera, space)
-    return [number for number, each in enumerate(seen) if each]
+def reached(data: bytes, camera: dict[str, Any] | None = None) -> tuple[list[int], dict[str, tuple[int, int]]]:
+    """Returns the numbers of the probes that a file reaches, and the extremes of its quantities.
 
-
-def _reached(vector: Vector) -> tuple[str, list[int]]:
-    camera = vector.expectation.camera if isinstance(vector.expectation, GaussiansOf) else None
-    return vector.id, reached((VECTORS / vector.input.path).read_bytes(), camera)
-
-
-def vectors_of(manifest: Manifest, jobs: int) -> list[list[str]]:
-    """Returns the identifiers of the vectors that reach each probe, by its number. jobs: the number of processes.
-
-    Loading the second decoder counts as the vector "any file".
+    camera: for which its Gaussians are computed, or None to decode the file.
     """
-    _, seen, sites = probed()
-    found: list[list[str]] = [["any file"] if each else [] for each in seen]
-    assert len(found) == len(sites)
+    own = _probed()
+    own.seen[:] = bytes(len(own.seen))
+    own.extremes.clear()
+    if camera is None:
+        spec_decoder.verdict(own.names, data)
+    else:
+        expected(data, camera, own.names)
+    return [number for number, each in enumerate(own.seen) if each], dict(own.extremes)
+
+
+def _reached(vector: Vector) -> tuple[str, list[int], dict[str, tuple[int, int]]]:
+    camera = vector.expectation.camera if isinstance(vector.expectation, GaussiansOf) else None
+    return vector.id, *reached((VECTORS / vector.input.path).read_bytes(), camera)
+
+
+def of_vectors(manifest: Manifest, jobs: int) -> tuple[list[list[str]], dict[str, tuple[int, int]]]:
+    """Returns the identifiers of the vectors that reach each probe, by its number, and the extremes of all quantities.
+
+    jobs: the number of processes. Loading the second decoder counts as the vector "any file".
+    """
+    found: list[list[str]] = [["any file"] if each else [] for each in probed().seen]
+    extremes: dict[str, tuple[int, int]] = {}
     longest_first = sorted(manifest.vectors, key=lambda vector: -vector.input.size)
     with ProcessPoolExecutor(jobs) as pool:
         results = pool.map(_reached, longest_first)
-        for name, numbers in tqdm(results, total=len(longest_first), unit="vector", disable=None):
+        for name, numbers, own in tqdm(results, total=len(longest_first), unit="vector", disable=None):
             for number in numbers:
                 found[number].append(name)
-    return found
+            for quantity, (least, greatest) in own.items():
+                before = extremes.get(quantity, (least, greatest))
+                extremes[quantity] = min(least, before[0]), max(greatest, before[1])
+    return found, extremes
 
 
 def report(sites: list[Site], found: list[list[str]]) -> tuple[list[str], int]:
-    """Returns the lines of the report, and the number of holes. found: the result of vectors_of."""
+    """Returns lines on statements and conditions, and the number of holes. found: as of_vectors returns it."""
     lines, holes = [], 0
     for name, kinds in (("statements", {LINE}), ("outcomes of conditions", {TRUE, FALSE})):
         own = [(site, vectors) for site, vectors in zip(sites, found, strict=True) if site.kind in kinds]
@@ -200,9 +290,30 @@ def report(sites: list[Site], found: list[list[str]]) -> tuple[list[str], int]:
     return lines, holes
 
 
+def extremes_of(text: str, extremes: dict[str, tuple[int, int]]) -> list[str]:
+    """Returns lines on the quantities of 7.11: the bits of the largest magnitude in the vectors and of the bound.
+
+    text: SPEC.md. extremes: as of_vectors returns them.
+    """
+    table = re.search(r"^### 7\.11 .*?(?=^### )", text, re.MULTILINE | re.DOTALL)
+    assert table is not None
+    bounds = dict(re.findall(r"^\| (.+?) \| [\d.]+ \| .+? \| 2\^(\d+) \|", table[0], re.MULTILINE))
+    lines, unreached = [], 0
+    for quantity, bound in bounds.items():
+        if quantity not in extremes:
+            lines.append(f"  no probe: {quantity}")
+            continue
+        least, greatest = extremes[quantity]
+        own, bits = max(-least, greatest).bit_length(), int(bound)
+        reason = "" if own >= bits - SLACK else TOO_LARGE.get(quantity, "open")
+        unreached += reason == "open"
+        lines.append(f"  {own:2} of {bits} bits, {least} to {greatest}: {quantity}{reason and f' ({reason})'}")
+    return [f"quantities of 7.11: {len(bounds)}, {len(extremes)} of them with a probe, {unreached} open", *lines]
+
+
 def main(jobs: int | None = None) -> int:
     """Prints the report. Returns 1 if there is a hole, else 0."""
-    _, _, sites = _probed()
-    lines, holes = report(sites, vectors_of(load(), jobs or os.cpu_count() or 1))
-    print("\n".join(lines))
+    found, extremes = of_vectors(load(), jobs or os.cpu_count() or 1)
+    lines, holes = report(_probed().sites, found)
+    print("\n".join([*lines, *extremes_of(SPEC.read_text(encoding="utf-8"), extremes)]))
     return 1 if holes else 0

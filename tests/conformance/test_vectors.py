@@ -256,13 +256,13 @@ def test_the_generator_does_without_hypothesis() -> None:
 def test_the_second_decoder() -> None:
     """It gives the digests or the error of each vector. The vectors reach every statement, and both outcomes of every
     condition."""
-    decoder, seen, sites = probed()
+    own = probed()
     for vector in SUITE.vectors:
         if isinstance(vector.expectation, GaussiansOf):
             e = vector.expectation
-            assert sha256(expected(data(vector), e.camera, decoder)) == e.sha256, vector.id
+            assert sha256(expected(data(vector), e.camera, own.names)) == e.sha256, vector.id
     for vector in QUICK:
-        result, error = spec_decoder.verdict(decoder, data(vector))
+        result, error = spec_decoder.verdict(own.names, data(vector))
         e = vector.expectation
         if isinstance(e, Rejected):
             assert error == (e.name, e.offset), vector.id
@@ -274,7 +274,7 @@ def test_the_second_decoder() -> None:
         assert [bytes(part).hex() for part in result["parts"]] == [
             e.parts[name] for name in (*PARTS, SPLAT) if name in e.parts
         ], vector.id
-    assert [site for site, each in zip(sites, seen, strict=True) if not each and not site.argued()] == []
+    assert [site for site, each in zip(own.sites, own.seen, strict=True) if not each and not site.argued()] == []
 
 
 def test_traces() -> None:
