@@ -39,6 +39,7 @@ def add(book: Book) -> None:
         ("turned", "quaternions of zeros, and one with a single number", _turned),
         ("cancelled", "means that are 0, halfway between two f32, or lose all but their last bits", _cancelled),
         ("lengths", "scalings over the whole range of the exponential, and features with halves", _lengths),
+        ("long", "logarithms of lengths with up to 29 bits, some halfway between two f32", _long),
     ]
     for name, title, make in rows:
         valid(f"static-{name}", title, make, flags="static-part value-rounding")
@@ -156,3 +157,20 @@ def _lengths() -> Scene:
     scalings = np.concatenate([chosen, -chosen], axis=1)
     offsets = np.broadcast_to(np.array([4, -1, 16]), made.attributes.offsets.shape)
     return with_symbols(made, scalings=scalings, offsets=offsets)
+
+
+def _long() -> Scene:
+    """The covariance network gives lengths of 24 bits, which have 28 in the unit of scalings."""
+    numbers, made = Numbers("static-long/symbols"), _scene("static-long", 8)
+    made = replace(made, masks=np.ones_like(made.masks), base_step=(0.5, 2.0**-16, 0.25))
+    weight, bias = made.networks["covariance"][-1]
+    largest = np.array([(1 << 24) - 1, 1 - (1 << 24), (1 << 23) + 5])
+    for k in range(made.dimensions.offset_count):
+        weight[7 * k : 7 * k + 3] = 0
+        bias[7 * k : 7 * k + 3] = np.roll(largest, k) // (1 + k % 2)
+    ends = [SCALING_BOUND, SCALING_BOUND - 1, 1 - SCALING_BOUND, -SCALING_BOUND]
+    scalings = numbers.integers(-99, 99, *made.attributes.scalings.shape)
+    # Halves of the unit of the last place of sums from 2^27 and from 2^28 on.
+    scalings[:4, 3:] = np.array([8, -8, 24, 16])[:, None]
+    scalings[4:, 3:] = np.array(ends)[:, None]
+    return with_symbols(made, scalings=scalings)
