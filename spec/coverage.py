@@ -34,15 +34,13 @@ ARGUED = {
     ("LOGISTIC", "x > -700", FALSE): "a guard for exp: the result is 0 within every tolerance",
 }
 
-# A quantity counts as reached if its largest magnitude has the bits of its bound, or one bit less.
-SLACK = 1
-# Why no vector reaches the bound of a quantity.
+# A quantity is reached if its largest magnitude has as many bits as its bound, or one less, or more than 32: no
+# narrower type than that of 7.11 holds it.
+SLACK, NARROW = 1, 32
+# Why no vector reaches another quantity.
 TOO_LARGE = {
-    "u (s - 1)": "planes of 1024: a trial",
-    "raw bits of a substream": "a section of 2^48 bytes",
-    "sum of the entries' lengths": "2^26 chunks",
-    "sum of the sections' lengths": "a file of 2^64 bytes",
-    "work": "more than level 5",
+    "u (s - 1)": "planes of 1024 are a trial, not a vector",
+    "raw bits of a substream": "half a gigabyte",
 }
 _STATE = "(x >> PRECISION)"
 # Quantities of 7.11, each with the function and the expression that computes it.
@@ -64,10 +62,7 @@ QUANTITIES = {
     ("SELECT", "mean - 8 * ((1 << k) - 1)"): "mean - 8 (2^k - 1), rounded",
     ("READ_ESCAPE", "(1 << z) + READ_BITS(stream, z)"): "n of an escape",
     ("DECODE_VALUES", "value"): "symbol before its range is checked",
-    (
-        "DECODE_SYMBOL",
-        "frequencies[symbol] * (x >> PRECISION) + slot - low",
-    ): "frequency * (x >> PRECISION) + slot - low",
+    ("DECODE_SYMBOL", f"frequencies[symbol] * {_STATE} + slot - low"): f"frequency * {_STATE} + slot - low",
     ("READ_BITS", "at + 1"): "raw bits of a substream",
     ("WORLD", "grid['origin'][axis] + grid['scale_mantissa'] * p"): "origin + S P",
     ("STEP_VALUE", "STEP[step_index] * m"): "step_table * m",
@@ -81,6 +76,7 @@ QUANTITIES = {
     ("CHECK_SUBSTREAM", "8 + 4 * lanes + 2 * U(data, at + 4, 4)"): "bytes that the head of a substream implies",
     ("PARSE_PLANES", "20 + sum([PAD4(n) for n in lengths])"): "bytes that a PlaneTable or the head of a chunk implies",
     ("PARSE_INDEX", "sum([x['length'] for x in entries])"): "sum of the entries' lengths",
+    ("DECODE_FILE", "at + e['length']"): "sum of the sections' lengths",
     ("WORK", "v['anchor_count'][0] * anchor + symbols * plane"): "work",
 }
 
@@ -290,8 +286,10 @@ def report(sites: list[Site], found: list[list[str]]) -> tuple[list[str], int]:
     return lines, holes
 
 
-def extremes_of(text: str, extremes: dict[str, tuple[int, int]]) -> list[str]:
-    """Returns lines on the quantities of 7.11: the bits of the largest magnitude in the vectors and of the bound.
+def extremes_of(text: str, extremes: dict[str, tuple[int, int]]) -> tuple[list[str], int]:
+    """Returns lines on the quantities of 7.11, and how many of them no vector reaches without a reason.
+
+    A line has the bits of the largest magnitude in the vectors, and those of the bound.
 
     text: SPEC.md. extremes: as of_vectors returns them.
     """
@@ -305,15 +303,17 @@ def extremes_of(text: str, extremes: dict[str, tuple[int, int]]) -> list[str]:
             continue
         least, greatest = extremes[quantity]
         own, bits = max(-least, greatest).bit_length(), int(bound)
-        reason = "" if own >= bits - SLACK else TOO_LARGE.get(quantity, "open")
+        reason = "" if own >= min(bits - SLACK, NARROW + 1) else TOO_LARGE.get(quantity, "open")
         unreached += reason == "open"
         lines.append(f"  {own:2} of {bits} bits, {least} to {greatest}: {quantity}{reason and f' ({reason})'}")
-    return [f"quantities of 7.11: {len(bounds)}, {len(extremes)} of them with a probe, {unreached} open", *lines]
+    head = f"quantities of 7.11: {len(bounds)}, {len(extremes)} of them with a probe, {unreached} open"
+    return [head, *lines], unreached
 
 
 def main(jobs: int | None = None) -> int:
     """Prints the report. Returns 1 if there is a hole, else 0."""
     found, extremes = of_vectors(load(), jobs or os.cpu_count() or 1)
     lines, holes = report(_probed().sites, found)
-    print("\n".join([*lines, *extremes_of(SPEC.read_text(encoding="utf-8"), extremes)]))
-    return 1 if holes else 0
+    more, unreached = extremes_of(SPEC.read_text(encoding="utf-8"), extremes)
+    print("\n".join([*lines, *more]))
+    return 1 if holes or unreached else 0

@@ -9,7 +9,19 @@ import pytest
 from conformance import spec_decoder
 from conformance.manifest import load
 from spec import coverage
-from spec.coverage import FALSE, IMAGES, LINE, QUANTITIES, TRUE, extremes_of, of_vectors, probed, reached, report
+from spec.coverage import (
+    FALSE,
+    IMAGES,
+    LINE,
+    QUANTITIES,
+    TOO_LARGE,
+    TRUE,
+    extremes_of,
+    of_vectors,
+    probed,
+    reached,
+    report,
+)
 from spec.decoder import SPEC
 
 SUITE = load()
@@ -30,7 +42,9 @@ def test_probes_change_nothing() -> None:
 
 def test_each_quantity_has_its_bound() -> None:
     text = SPEC.read_text(encoding="utf-8")
-    lines = extremes_of(text, dict.fromkeys(QUANTITIES.values(), (-3, 2)))
+    lines, unreached = extremes_of(text, dict.fromkeys(QUANTITIES.values(), (-3, 2)))
+    assert unreached == len(QUANTITIES) - len(TOO_LARGE)
+    assert extremes_of(text, dict.fromkeys(QUANTITIES.values(), (0, 1 << 60)))[1] == 0
     assert sum(line.startswith("   2 of") for line in lines) == len(QUANTITIES)
     assert sum("no probe" in line for line in lines) == len(lines) - 1 - len(QUANTITIES)
 
