@@ -31,6 +31,7 @@ from tqdm import tqdm
 
 from refcodec.bitstream import codec, reconstruction
 from refcodec.bitstream.errors import BitstreamError
+from refcodec.bitstream.scene import Scene
 from refcodec.files.documents import DocumentError, read_json
 from refcodec.files.lock import hold_file
 from refcodec.files.present import NotAFileError, is_there
@@ -43,8 +44,8 @@ from ..runner import grading, process
 from ..runner.folder import Folder
 from .strategies import draw_fault, draw_mutation, draw_splice, drawable, scenes
 
-# Limits: seconds for one decoder and one file, bytes of address space of a worker, most of which libraries use, and
-# bytes of resident memory of another decoder's process.
+# Limits: seconds for one decoder and one file, which are those of a processor in this process; bytes of address space
+# of a worker, most of which libraries use; and bytes of resident memory of another decoder's process.
 FILE_SECONDS = 20
 WORKER_BYTES = 3 << 30
 PROCESS_BYTES = 256 << 20
@@ -55,12 +56,18 @@ BATCH_SCENES = 25
 Verdict = tuple[str, int]
 
 
+def _decoded(data: bytes) -> tuple[Scene | None, Verdict]:
+    """Returns refcodec's scene, None if it refuses the file, and its verdict."""
+    try:
+        scene = codec.parse(data).scene
+        return scene, (reconstruction.digest(scene)[0], -1)
+    except BitstreamError as error:
+        return None, (error.kind.name, error.offset)
+
+
 def first_verdict(data: bytes) -> Verdict:
     """Returns refcodec's verdict: name and offset of its error, or the digest and -1."""
-    try:
-        return reconstruction.digest(codec.parse(data).scene)[0], -1
-    except BitstreamError as error:
-        return error.kind.name, error.offset
+    return _decoded(data)[1]
 
 
 @contextmanager
@@ -86,10 +93,10 @@ def _faulty_path(data: bytes, first: Verdict) -> str | None:
     """Returns the fault of a path of refcodec, or None. first: the verdict of NumPy."""
     for name in _paths():
         with _path(name), _limited(FILE_SECONDS):
-            verdict = first_verdict(data)
+            scene, verdict = _decoded(data)
             if verdict != first:
                 return f"refcodec says {first} by NumPy, and {verdict} by {name}"
-            if first[1] < 0 and codec.emit(codec.parse(data).scene) != data:
+            if scene is not None and codec.emit(scene) != data:
                 return f"accepted, but not what the encoder writes for its scene by {name}"
     return None
 
@@ -158,16 +165,18 @@ def command_verdict(command: Sequence[str], data: bytes) -> Verdict:
 
 @contextmanager
 def _limited(seconds: int) -> Iterator[None]:
-    def stop(*_: object) -> None:
-        raise BudgetError(f"more than {seconds} s")
+    """Limits the processor time of a block, so that a loaded machine changes no result."""
 
-    before = signal.signal(signal.SIGALRM, stop)
-    signal.alarm(seconds)
+    def stop(*_: object) -> None:
+        raise BudgetError(f"more than {seconds} s of a processor")
+
+    before = signal.signal(signal.SIGPROF, stop)
+    signal.setitimer(signal.ITIMER_PROF, seconds)
     try:
         yield
     finally:
-        signal.alarm(0)
-        signal.signal(signal.SIGALRM, before)
+        signal.setitimer(signal.ITIMER_PROF, 0)
+        signal.signal(signal.SIGPROF, before)
 
 
 def compare(data: bytes, expected: Verdict | None = None, command: Sequence[str] = ()) -> tuple[Verdict, str | None]:
