@@ -41,6 +41,7 @@ SLACK, NARROW = 1, 32
 TOO_LARGE = {
     "u (s - 1)": "planes of 1024 are a trial, not a vector",
     "raw bits of a substream": "half a gigabyte",
+    "grid exponent of any row, as a sum before the check": "the blocks stop at the first row out of range",
 }
 _STATE = "(x >> PRECISION)"
 # Quantities of 7.11, each with the function and the expression that computes it.
@@ -124,9 +125,11 @@ class _Probes(ast.NodeTransformer):
         return ast.Call(name, [at, self.visit(node)], [])
 
     def visit(self, node: ast.AST) -> Any:
-        """Returns a node with its probes. An expression of QUANTITIES also keeps its extremes."""
+        """Returns a node of a function with its probes. An expression of QUANTITIES also keeps its extremes."""
+        if not self._functions and not isinstance(node, (ast.Module, ast.FunctionDef)):
+            return node
         key = None
-        if self._functions and isinstance(node, ast.expr) and isinstance(getattr(node, "ctx", ast.Load()), ast.Load):
+        if isinstance(node, ast.expr) and isinstance(getattr(node, "ctx", ast.Load()), ast.Load):
             key = self._functions[-1], ast.unparse(node)
         node = super().visit(node)
         if key in QUANTITIES:
@@ -140,6 +143,12 @@ class _Probes(ast.NodeTransformer):
         self._functions.pop()
         return node
 
+    def _tested(self, node: ast.If | ast.While | ast.IfExp) -> ast.AST:
+        test, node.test = node.test, ast.Constant(True)
+        self.generic_visit(node)
+        node.test = self._condition(test)
+        return node
+
     def visit_If(self, node: ast.If) -> ast.AST:
         return self._tested(node)
 
@@ -148,12 +157,6 @@ class _Probes(ast.NodeTransformer):
 
     def visit_IfExp(self, node: ast.IfExp) -> ast.AST:
         return self._tested(node)
-
-    def _tested(self, node: ast.If | ast.While | ast.IfExp) -> ast.AST:
-        test, node.test = node.test, ast.Constant(True)
-        self.generic_visit(node)
-        node.test = self._condition(test) if self._functions else test
-        return node
 
     def visit_BoolOp(self, node: ast.BoolOp) -> ast.AST:
         return self._condition(node)
@@ -205,7 +208,7 @@ def probed() -> Probed:
     """Returns a second decoder with probes."""
     source = TARGET.read_text(encoding="utf-8")
     probes = _Probes(source)
-    tree = ast.fix_missing_locations(probes.visit(ast.parse(source)))
+    tree = probes.visit(ast.parse(source))
     seen = bytearray(len(probes.sites))
     extremes: dict[str, tuple[int, int]] = {}
 
@@ -225,9 +228,7 @@ def probed() -> Probed:
     return Probed(space, seen, probes.sites, extremes)
 
 
-@cache
-def _probed() -> Probed:
-    return probed()
+_probed = cache(probed)
 
 
 def reached(data: bytes, camera: dict[str, Any] | None = None) -> tuple[list[int], dict[str, tuple[int, int]]]:

@@ -277,11 +277,13 @@ def splats(
     networks = kernel.library.kernel_splatter_new(inputs, width, k, colours, *map(_address, joined))
     if not networks:
         raise MemoryError("no memory for the rendering networks in the native kernel")
-    # The first numbers of the mean, the lengths, the quaternion, the opacity and the harmonics.
-    to = [found.ctypes.data + found.itemsize * column for column in (0, 3, 6, 10, 11)]
-    given = [array.ctypes.data for array in held]
-    count = kernel.library.kernel_splat(networks, len(masks), *given, len(found), found.shape[1], *to)
-    kernel.library.kernel_free(networks)
+    try:
+        # The first numbers of the mean, the lengths, the quaternion, the opacity and the harmonics.
+        to = [found.ctypes.data + found.itemsize * column for column in (0, 3, 6, 10, 11)]
+        given = [array.ctypes.data for array in held]
+        count = kernel.library.kernel_splat(networks, len(masks), *given, len(found), found.shape[1], *to)
+    finally:
+        kernel.library.kernel_free(networks)
     if count != len(found):
         raise RuntimeError("the native kernel refused validated input: please report this bug")
     return found

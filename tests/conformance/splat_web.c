@@ -1,4 +1,4 @@
-/* Runs SPLAT of the package for browsers as a program, so that sanitizers see what it does.
+/* Runs SPLAT of the kernel, which the package for browsers has, too, as a program, so that sanitizers see what it does.
  *
  * stdin: the numbers of `input`, then weights, biases, exponents, positions, masks, features, scalings and offsets.
  * stdout: the status or the count, and then the numbers of each Gaussian in a row. If `rows` is 0, the arrays without
