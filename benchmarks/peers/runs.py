@@ -198,7 +198,7 @@ def _with_formats(run: Run, record: Record, folder: Path) -> Record:
 
 def _shown(coded: Path, ply: Path, photographs: PhotographSet, settings: SplatSettings) -> dict[str, float]:
     """Returns the bytes of a file, and the quality of its Gaussians on the held-out photographs."""
-    found = quality(read_ply(ply), photographs.test, view_settings(photographs, settings.begin.near))
+    found = quality(read_ply(ply), photographs.test, view_settings(photographs, settings))
     return {"bytes": coded.stat().st_size, **found}
 
 

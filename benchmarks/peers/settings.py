@@ -80,6 +80,14 @@ class SplatSettings:
     degree: int = setting(1, "of the spherical harmonics", f"{OWN}; {GS}: 3", low=0, high=3)
     degree_share: float = setting(1 / 30, "share of the steps after which one more degree is in use", GS, low=0, high=1)
     ssim: float = setting(0.2, "share of 1 - SSIM in the loss; the rest is L1", GS, low=0, high=1)
+    low_pass: float = setting(
+        0.1,
+        "added to both variances of a Gaussian in an image, also where the file is drawn",
+        f"refcodec's trainer; {GS}: 0.3",
+        unit="square pixels",
+        low=0,
+        high=1,
+    )
     extent: float = setting(
         1.1, "extent of the scene over the largest distance of a camera from their middle", GS, low=0
     )

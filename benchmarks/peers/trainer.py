@@ -33,10 +33,11 @@ from .settings import SplatSettings
 NAMES = ("mean", "base", "rest", "opacity", "scale", "quaternion")
 
 
-def view_settings(photographs: PhotographSet, near: float) -> Settings:
-    """Returns the rendering settings of a scene. near: in scene lengths (refcodec.train.start.scene_length)."""
+def view_settings(photographs: PhotographSet, settings: SplatSettings) -> Settings:
+    """Returns the rendering settings of a scene."""
+    near = settings.begin.near * scene_length(photographs)
     red, green, blue = photographs.background
-    return Settings(near_plane=near * scene_length(photographs), background=(red / 255, green / 255, blue / 255))
+    return Settings(settings.low_pass, near, background=(red / 255, green / 255, blue / 255))
 
 
 class SplatTrainer:
@@ -52,7 +53,7 @@ class SplatTrainer:
             raise ValueError("there are no points to begin with")
         self.photographs, self.settings = photographs, settings
         self.random = torch.Generator().manual_seed(settings.seed)
-        self.view = view_settings(photographs, settings.begin.near)
+        self.view = view_settings(photographs, settings)
         centres = np.stack([p.camera.centre for p in photographs.train])
         away = np.linalg.norm(centres - centres.mean(axis=0), axis=1).max()
         # A single camera has no extent.

@@ -45,6 +45,7 @@ def render_info(scaffold: Scaffold, photographs: PhotographSet) -> RenderInfo:
         up_axis=up_axis([p.camera for p in photographs.train], photographs.points),
         near_plane=float(np.float32(scaffold.near * scaffold.units.length)),
         distance_unit=scaffold.units.length,
+        low_pass=float(np.float32(scaffold.low_pass)),
         render_model=scaffold.networks.render_model,
     )
 

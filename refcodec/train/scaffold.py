@@ -66,6 +66,7 @@ class Scaffold:
             return
         start = first_anchors(photographs, settings)
         self.units, self.lattice, self.near = start.units, start.lattice, settings.start.near
+        self.low_pass = settings.low_pass
         n = len(self.lattice)
         self.columns = Columns(settings.entropy.slices, OFFSETS)
         self.tables = {name: torch.zeros(n, self._width(name), device=self.device) for name in TABLES}
@@ -83,6 +84,7 @@ class Scaffold:
         """Takes the anchors and networks of a scene."""
         given, self.near = first.given, settings.start.near
         check_view_dependent(given.render)
+        self.low_pass = given.render.low_pass
         self.units, self.lattice = first.units, first.lattice
         self.columns = Columns(settings.entropy.slices, given.cloud.masks.shape[1])
         self.tables = {name: self._moved(first.tables[name]) for name in TABLES}

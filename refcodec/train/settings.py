@@ -392,6 +392,15 @@ class TrainSettings:
         GS,
         unit="0 to 255",
     )
+    low_pass: float = setting(
+        0.1,
+        "added to both variances of a Gaussian in an image, which the file tells renderers; a training that continues "
+        "from a scene keeps that scene's",
+        f"{OWN}; {GS}: 0.3",
+        unit="square pixels",
+        low=0,
+        high=1,
+    )
     holdout: int = setting(
         8, "every N-th photograph by name is held out, 0 for none; a data set's own split comes before it", GS, low=0
     )

@@ -34,7 +34,7 @@ class Views:
         self.photographs, self.scaffold, self.stages = photographs, scaffold, stages
         self.cameras = [scaffold.units.camera(p.camera) for p in photographs.train]
         red, green, blue = photographs.background
-        self.settings = Settings(near_plane=scaffold.near, background=(red / 255, green / 255, blue / 255))
+        self.settings = Settings(scaffold.low_pass, scaffold.near, background=(red / 255, green / 255, blue / 255))
         self._images: dict[int, Tensor] = {}
 
     def image(self, number: int) -> Tensor:

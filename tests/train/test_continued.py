@@ -52,7 +52,7 @@ def model(voxel: float | None = VOXEL) -> Uncompressed:
     masks = rng.random((n, OFFSETS)) < 0.7
     masks[0] = True
     values = replace(values, offsets=np.where(masks[:, :, None], values.offsets, np.float32(0)))
-    render = RenderInfo(background=(255, 255, 255), distance_unit=2.5, near_plane=0.01, up_axis=4)
+    render = RenderInfo(background=(255, 255, 255), distance_unit=2.5, near_plane=0.01, up_axis=4, low_pass=0.25)
     return Uncompressed(values, masks, networks, render, voxel=voxel)
 
 
@@ -98,7 +98,9 @@ def test_it_ends_with_a_file_of_the_same_dimensions(tmp_path: Path, capsys: pyte
     assert main([*words, "--from", str(tmp_path / "scene"), "--keep-state"]) == 0
     assert "anchors of the scene to continue" in capsys.readouterr().err
     assert main(["encode", str(tmp_path / "better"), "-o", str(tmp_path / "a.c3gs")]) == 0
-    d = parse((tmp_path / "a.c3gs").read_bytes()).scene.dimensions
+    coded = parse((tmp_path / "a.c3gs").read_bytes()).scene
+    assert coded.render.low_pass == scene.render.low_pass
+    d = coded.dimensions
     assert (d.features, d.offset_count, d.render_width) == (FEATURES, OFFSETS, WIDTH)
     # A saved training goes on from the same scene alone.
     more = [*words[:-1], "30", "--resume"]

@@ -34,7 +34,7 @@ def test_the_text_has_these_constants() -> None:
     section = text.split("## Settings of the method")[1].split("\n## ")[0]
     rows = re.findall(r"^\| (`.+?`(?:, `.+?`)*) \| (.+?) \|", section, re.MULTILINE)
     names = [name for cell, _ in rows for name in re.findall(r"`([\w.]+)`", cell)]
-    assert len(names) == len(set(names)) == 20
+    assert len(names) == len(set(names)) == 21
     assert [f"phases.{phase.name}.begin" in names for phase in TrainSettings().phases] == [False] + 7 * [True]
     for cell, value in rows:
         found = tuple(setting(name) for name in re.findall(r"`([\w.]+)`", cell))

@@ -11,6 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from refcodec.bitstream.codec import emit, parse
@@ -115,7 +116,7 @@ def test_another_unit_gives_the_same_scene(photographs: PhotographSet, small: Tr
     [
         {"sampling.among": "visible", "rate.plane_period": 1, "masks.epsilon": 0.0004},
         {"masks.used": False, "phases.weights.modes": {"weights": "float"}},
-        {"phases.masks.begin": 0.5, "phases.rate.begin": 0.5},
+        {"phases.masks.begin": 0.5, "phases.rate.begin": 0.5, "low_pass": 0.3},
     ],
 )
 def test_variations(change: dict[str, Any], photographs: PhotographSet, small: TrainSettings) -> None:
@@ -123,6 +124,7 @@ def test_variations(change: dict[str, Any], photographs: PhotographSet, small: T
     trainer.run(lambda _: None)
     result = trainer.result()
     assert isinstance(result, Scene)
+    assert result.render.low_pass == np.float32(change.get("low_pass", 0.1))
     assert result.masks.all() or change.get("masks.used", True)
     assert parse(emit(result)).scene.anchor_count == result.anchor_count
 
