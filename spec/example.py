@@ -1,13 +1,17 @@
 """Makes the files that SPEC.md Annex D explains, and their scenes as text, from which an encoder makes the same files.
 
 Simple formulas give all numbers.
+
+python -m spec.example FILE     prints the scene of any file as text
 """
 
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Iterator
 from dataclasses import asdict, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -154,7 +158,10 @@ def packed() -> Scene:
 
 
 def document(data: bytes) -> dict[str, Any]:
-    """Returns all numbers of a file except those that follow from others. Names are those of SPEC.md chapter 5."""
+    """Returns all numbers of a file except those that follow from others. Names are those of SPEC.md chapter 5.
+
+    A later minor version and its header fields are left out, as an encoder writes the lowest version ([E15.2-2]).
+    """
     scene = codec.parse(data).scene
     a = scene.attributes
     model, forms, weight_forms = scene.position_model, scene.position_forms, scene.weight_forms
@@ -215,3 +222,9 @@ def made() -> Iterator[Made]:
         data = codec.emit(scene)
         yield Made(path, data)
         yield Made.text(path.with_suffix(".json"), as_text(document(data)))
+
+
+if __name__ == "__main__":
+    if len(sys.argv) != 2:
+        sys.exit(__doc__)
+    print(as_text(document(Path(sys.argv[1]).read_bytes())), end="")

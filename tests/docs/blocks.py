@@ -26,7 +26,7 @@ ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 LANGUAGES = ("sh", "python", "js")
 # What a reader has at hand in the folder of the project.
-_THERE = ("SPEC.md", "benchmarks", "conformance", "examples", "refcodec", "vectors")
+_THERE = ("SPEC.md", "benchmarks", "conformance", "examples", "refcodec", "spec", "vectors")
 # Training runs of some steps. The last of two equal options counts.
 _TINY = {
     "train": "--steps 12 --size 48 --anchors 300",
