@@ -285,7 +285,7 @@ def test_interrupted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_command_that_fails(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setenv("FAKE_FAIL", "0.004")
+    monkeypatch.setenv("FAKE_FAIL", f"{demo.RATE:g}")
     monkeypatch.setenv("FAKE_STEP", "10")
     # The other training would take minutes: it is stopped.
     assert main(["demo", "-o", str(tmp_path / "out"), "--steps", "100000"]) == 70
