@@ -18,6 +18,8 @@ MANUAL = ROOT / "docs"
 # Other files of the repository that are pages of the site, and the names of these.
 PAGES = {
     "conformance/README.md": "more/conformance",
+    "implementations/README.md": "more/implementations",
+    "implementations/MATRIX.md": "more/matrix",
     "vectors/README.md": "more/vectors",
     "refcodec/viewer/README.md": "more/viewer",
     "refcodec/web/README.md": "more/web",

@@ -41,6 +41,7 @@ PARTS = {
         "conformance.cases",
         "conformance.runner",
         "conformance.report",
+        "conformance.registry",
         "conformance.fuzz",
         "conformance.mutants",
         "conformance.cli",

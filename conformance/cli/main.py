@@ -24,11 +24,11 @@ class _Parser(argparse.ArgumentParser):
 
 def _parser() -> argparse.ArgumentParser:
     # These modules need the extra `conformance`.
-    from . import exchange, keeping, running  # noqa: PLC0415
+    from . import certifying, exchange, keeping, running  # noqa: PLC0415
 
     parser = _Parser(prog="conformance", description="Tests of decoders and encoders of C3GS files.")
     commands = parser.add_subparsers(required=True, metavar="command")
-    for module in (running, exchange, keeping):
+    for module in (running, exchange, certifying, keeping):
         module.add(commands)
     return parser
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import datetime
-import json
 import os
 import re
 import shlex
@@ -94,7 +93,7 @@ def _check_report(arguments: argparse.Namespace) -> None:
 
 
 def _write(folder: Path, record: dict[str, Any]) -> None:
-    contents = (json.dumps(record, indent=1) + "\n", junit.document(record), page.document(record))
+    contents = (records.text(record), junit.document(record), page.document(record))
     with Stage() as stage:
         for name, text in zip(REPORTS, contents, strict=True):
             stage.write(folder / name, text.encode())

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import platform
 import re
+import shutil
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
@@ -62,6 +64,30 @@ def describe(path: Path | None, command: Sequence[str]) -> dict[str, str]:
     if fault := best_match(_DESCRIPTION.iter_errors(said)):
         raise RecordError(f"{path}: {_words(fault)}")
     return {name: printable(text, _TEXT, lines=name == "notes") for name, text in said.items()}
+
+
+def seal(record: dict[str, Any]) -> str:
+    """Returns the SHA-256 of a record without its own field `sha256`, in hexadecimal.
+
+    The hashed text is JSON in ASCII with sorted names and without spaces.
+    """
+    rest = {name: value for name, value in record.items() if name != "sha256"}
+    return hashlib.sha256(json.dumps(rest, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
+
+
+def text(record: dict[str, Any]) -> str:
+    """Returns a record as JSON, with a line for each vector."""
+    before, name, after = json.dumps({**record, "vectors": []}, indent=1).rpartition('"vectors": [')
+    vectors = ",\n".join(f"  {json.dumps(vector)}" for vector in record["vectors"])
+    return f"{before}{name}\n{vectors}\n {after}\n"
+
+
+def _files(command: Sequence[str]) -> dict[str, str]:
+    """Returns the SHA-256 of the program of a command, and of the files among its other words."""
+    places = {word: Path(word) for word in command[1:] if Path(word).is_file()}
+    if program := shutil.which(command[0]):
+        places[command[0]] = Path(program)
+    return {word: hashlib.sha256(path.read_bytes()).hexdigest() for word, path in sorted(places.items())}
 
 
 def _words(fault: ValidationError) -> str:
@@ -156,13 +182,14 @@ def build(manifest: Manifest, options: Options, about: About, run: Run) -> dict[
             "description": about.decoder,
             "command": list(options.command),
             "gaussians": None if options.gaussians is None else list(options.gaussians),
+            "files": _files(options.command),
         },
     }
     record |= conclusions(record["suite"]["vectors"], entries, manifest)  # type: ignore[index]
     record["diagnosis"] = diagnosis.of_record(entries)
     # Every report and the terminal show names, commands and descriptions from outside.
     shown: dict[str, Any] = _printable(record | {"vectors": entries})
-    return shown
+    return shown | {"sha256": seal(shown)}
 
 
 def _group(vector: Vector) -> str:

@@ -34,7 +34,7 @@ def _enum(*values: str) -> Schema:
 
 
 STATUSES = ("failed", "crashed", "unexpected", "known", "passed", "skipped")
-REPORT, REPORT_VERSION = "c3gs-conformance-report", 4
+REPORT, REPORT_VERSION = "c3gs-conformance-report", 5
 _TEXT, _FLAG, _INTEGER = {"type": "string"}, {"type": "boolean"}, {"type": "integer"}
 _COUNT, _NUMBER = {"type": "integer", "minimum": 0}, {"type": "number", "minimum": 0}
 _POSITIVE = {"type": "number", "exclusiveMinimum": 0}
@@ -108,7 +108,7 @@ RECORD = {
             grade={**_GRADE, "minimum": 1},
             slow=_POSITIVE,
         ),
-        decoder=_object(description=DECODER, command=_TEXTS, gaussians=_or_null(_TEXTS)),
+        decoder=_object(description=DECODER, command=_TEXTS, gaussians=_or_null(_TEXTS), files=_map(_SHA256)),
         verdict=_object(
             conforms=_FLAG,
             grade=_or_null(_GRADE),
@@ -128,6 +128,7 @@ RECORD = {
         features=_COVERAGE,
         diagnosis=_or_null(_DIAGNOSIS),
         vectors=_list(_VECTOR),
+        sha256=_SHA256,
     ),
 }
 

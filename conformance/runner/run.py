@@ -27,6 +27,8 @@ from .traces import Probe, symbols_digest
 
 # The longest error output of a process in a report, in characters.
 STDERR_CHARACTERS = 4000
+# The text of a result without a run.
+SKIPPED = "no command for Gaussians was given (--gaussians)"
 
 
 @dataclass(frozen=True)
@@ -88,6 +90,13 @@ class Run:
     left: list[str] = field(default_factory=list)
 
 
+def status_of(found: Found, judgement: Judgement, grade: int) -> str:
+    """Returns the status of a vector that was run and is not a known failure. grade: the lowest that passes."""
+    if found.result == "crashed":
+        return "crashed"
+    return "passed" if judgement.grade >= grade else "failed"
+
+
 def shown(stderr: bytes) -> str:
     """Returns error output in a printable form of bounded length."""
     text = printable(stderr.decode("utf-8", "backslashreplace"), lines=True)
@@ -138,7 +147,7 @@ class _Desk:
         camera, template = None, self.options.command
         if isinstance(vector.expectation, GaussiansOf):
             if self.options.gaussians is None:
-                return Result(vector, "skipped", text="no command for Gaussians was given (--gaussians)")
+                return Result(vector, "skipped", text=SKIPPED)
             template = self.options.gaussians
             camera = json.dumps(vector.expectation.camera).encode()
         if self.stop.is_set():
@@ -154,10 +163,9 @@ class _Desk:
             self._remove(self._folders.pop(vector.id))
         elif not judgement.text:
             self._release(vector)
-        status = "passed" if judgement.grade >= self.options.grade else "failed"
         return Result(
             vector,
-            "crashed" if found.result == "crashed" else status,
+            status_of(found, judgement, self.options.grade),
             judgement.grade,
             judgement.text,
             found,
@@ -312,7 +320,7 @@ def run(
     done.results = [ended[v.id] for v in vectors if v.id in ended]
     done.left = [printable(text) for text in desk.left]
     names = set(known)
-    done.results = [_as_known(r) if r.vector.id in names else r for r in done.results]
+    done.results = [as_known(r) if r.vector.id in names else r for r in done.results]
     return done
 
 
@@ -324,7 +332,8 @@ def _as_they_end(queue: Iterable[Future[Result]]) -> Iterable[Result]:
         yield from (future.result() for future in ready)
 
 
-def _as_known(result: Result) -> Result:
+def as_known(result: Result) -> Result:
+    """Returns the result of a known failure."""
     if result.status == "passed":
         return replace(result, status="unexpected", text="a known failure passes: take it off the list")
     return replace(result, status="known") if result.status in ("failed", "crashed") else result

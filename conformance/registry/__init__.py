@@ -1,0 +1,1 @@
+"""The registry of implementations: their reports, audited, and from these a page, badges and a history."""
