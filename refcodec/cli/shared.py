@@ -10,8 +10,10 @@ import contextlib
 import os
 import stat
 import sys
+import time
 import tomllib
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -227,15 +229,23 @@ def encoded(
 
 @contextlib.contextmanager
 def progress_bar(wanted: bool) -> Iterator[Progress]:
-    """Yields a function that shows progress on stderr: always if wanted, else on terminals for stages over a second."""
-    if not (wanted or sys.stderr.isatty()):
-        yield lambda stage, done, total: None
-        return
-    from tqdm import tqdm
+    """Yields a function that shows progress on stderr: always if wanted, else on terminals for stages over a second.
 
+    If chunks take over a second on a slower path than the processor allows, it prints the reason once.
+    """
+    shown = wanted or sys.stderr.isatty()
     bars: dict[str, Any] = {}
+    begun: dict[str, float] = {}
 
     def show(stage: str, done: int, total: int) -> None:
+        if stage == "chunks" and time.monotonic() - begun.setdefault(stage, time.monotonic()) > 1:
+            if stage in bars:
+                bars[stage].clear()
+            _note_slower_path()
+        if not shown:
+            return
+        from tqdm import tqdm
+
         if stage not in bars:
             for finished in bars.values():
                 finished.close()
@@ -247,6 +257,14 @@ def progress_bar(wanted: bool) -> Iterator[Progress]:
     finally:
         for bar in bars.values():
             bar.close()
+
+
+@cache
+def _note_slower_path() -> None:
+    from ..native.library import faster
+
+    if reason := faster():
+        note(f"refcodec: a slower path runs than the processor allows: {reason}")
 
 
 def reject(path: str, error: BitstreamError) -> int:

@@ -6,6 +6,8 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "module.h"
+
 #ifndef KERNEL_THREADS
 #define KERNEL_THREADS 1
 #endif
@@ -18,11 +20,10 @@
 #endif
 
 #if defined(__x86_64__)
+#include <cpuid.h>
 #include <immintrin.h>
 #elif defined(__aarch64__)
 #include <arm_neon.h>
-#elif defined(__wasm_simd128__)
-#include <wasm_simd128.h>
 #endif
 
 #define INLINE static inline __attribute__((always_inline))
@@ -708,11 +709,6 @@ END
 #define HAS_NEON 1
 #include "variant.h"
 #undef VARIANT
-#elif defined(__wasm_simd128__)
-#define VARIANT simd128
-#define HAS_SIMD128 1
-#include "variant.h"
-#undef VARIANT
 #endif
 
 static const struct variant *const variants[] = {
@@ -723,8 +719,6 @@ static const struct variant *const variants[] = {
     &variant_avx512vnni,
 #elif defined(__aarch64__)
     &variant_neon,
-#elif defined(__wasm_simd128__)
-    &variant_simd128,
 #endif
 };
 enum { VARIANTS = sizeof variants / sizeof variants[0] };
@@ -736,18 +730,55 @@ KERNEL_API const char *kernel_variant_name(int32_t variant)
     return variant >= 0 && variant < VARIANTS ? variants[variant]->name : NULL;
 }
 
+#if defined(__x86_64__)
+/* Bits of XCR0: XMM and YMM, and all of AVX-512. */
+enum { YMM_SAVED = 0x06, ZMM_SAVED = 0xe6 };
+
+/* Registers that state what the processor has: ECX of leaf 1, EBX and ECX of leaf 7, ECX of leaf 0x80000001. */
+typedef struct {
+    uint32_t basic, extended, extended_more, later;
+    /* XCR0: the registers that the operating system saves. 0 if it has not enabled XGETBV. */
+    uint32_t saved;
+} registers;
+
+/* The compiler's own test, __builtin_cpu_supports, needs a run-time library, which may be missing and report nothing. */
+static registers read_registers(void)
+{
+    registers r = {0, 0, 0, 0, 0};
+    uint32_t eax, ebx, ecx, edx;
+    if (__get_cpuid(1, &eax, &ebx, &ecx, &edx)) r.basic = ecx;
+    if (__get_cpuid_count(7, 0, &eax, &ebx, &ecx, &edx)) r.extended = ebx, r.extended_more = ecx;
+    if (__get_cpuid(0x80000001, &eax, &ebx, &ecx, &edx)) r.later = ecx;
+    if (r.basic & bit_OSXSAVE) __asm__ volatile("xgetbv" : "=a"(r.saved), "=d"(edx) : "c"(0));
+#if defined(__APPLE__)
+    /* macOS saves the registers of AVX-512 from their first use on, and states them only then. */
+    if ((r.saved & YMM_SAVED) == YMM_SAVED) r.saved |= ZMM_SAVED;
+#endif
+    return r;
+}
+
+static int32_t has(uint32_t found, uint32_t wanted) { return (found & wanted) == wanted; }
+
+/* Returns the number of the best variant. Each needs all that the one before it needs. */
+static int32_t best_variant(registers r)
+{
+    const uint32_t vectors = bit_AVX512F | bit_AVX512BW | bit_AVX512DQ | bit_AVX512VL;
+    int32_t avx2 = has(r.basic, bit_OSXSAVE | bit_AVX | bit_FMA | bit_POPCNT | bit_PCLMUL) && has(r.later, bit_LZCNT) &&
+                   has(r.extended, bit_AVX2 | bit_BMI | bit_BMI2) && has(r.saved, YMM_SAVED);
+    int32_t avx512 = avx2 && has(r.extended, vectors) && has(r.saved, ZMM_SAVED);
+    return avx2 + avx512 + (avx512 && has(r.extended_more, bit_AVX512VNNI));
+}
+#endif
+
 KERNEL_API int32_t kernel_variant_runs(int32_t variant)
 {
     if (variant < 0 || variant >= VARIANTS) return 0;
 #if defined(__x86_64__)
-    __builtin_cpu_init();
-    int avx2 = __builtin_cpu_supports("avx2") && __builtin_cpu_supports("bmi") && __builtin_cpu_supports("bmi2") &&
-               __builtin_cpu_supports("fma") && __builtin_cpu_supports("popcnt") && __builtin_cpu_supports("pclmul");
-    int avx512 = avx2 && __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512bw") &&
-                 __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512vl");
-    int vnni = avx512 && __builtin_cpu_supports("avx512vnni");
-    const int runs[VARIANTS] = {1, avx2, avx512, vnni};
-    return runs[variant];
+    /* Asked once: a virtual machine needs up to 0.2 ms for the answer. All threads would find the same. */
+    static int32_t known = -1;
+    int32_t best = __atomic_load_n(&known, __ATOMIC_RELAXED);
+    if (best < 0) __atomic_store_n(&known, best = best_variant(read_registers()), __ATOMIC_RELAXED);
+    return variant <= best;
 #else
     return 1;
 #endif

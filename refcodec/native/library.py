@@ -185,9 +185,17 @@ def kernel() -> Kernel | None:
     return Kernel(library, name, number, count)
 
 
+def faster() -> str | None:
+    """Returns why a slower path is selected than the processor allows, or None. Raises UsageError."""
+    used, library = kernel(), load()
+    if library is None:
+        return "the native kernel is not there; it is built if a C compiler is present at installation"
+    *_, (best, name) = variants(library)
+    return None if used and used.variant == best else f"{PATH_VARIABLE} excludes {name}, which is faster"
+
+
 def describe() -> str:
     """Returns a description of the selected path. Raises UsageError."""
-    used = kernel()
-    if used is None:
-        return "NumPy" if load() else "NumPy; the native kernel is not there"
-    return f"native kernel {used.name}, {used.threads} thread{'s' if used.threads > 1 else ''}"
+    used, reason = kernel(), faster()
+    path = f"native kernel {used.name}, {used.threads} thread{'s' if used.threads > 1 else ''}" if used else "NumPy"
+    return f"{path}; {reason}" if reason else path

@@ -2,11 +2,7 @@
 #include <stdint.h>
 #include <stdlib.h>
 #include <string.h>
-#if defined(__wasm_simd128__)
-#include <wasm_simd128.h>
-#elif defined(__SSE2__)
-#include <emmintrin.h>
-#endif
+
 #include "module.h"
 
 /* The names are those of SPEC.md, as far as they are in it. */
@@ -35,9 +31,6 @@ enum {
 };
 
 static const int64_t exp2_terms[TERMS] = {1073741824, 744260848, 257945537, 59571654, 10398739, 1330132, 234908};
-
-typedef int16_t shorts __attribute__((vector_size(16), aligned(2), may_alias));
-typedef int32_t ints __attribute__((vector_size(16), aligned(4), may_alias));
 
 /* Rows of integers (SPEC 7.2). weight: [rows][stride]. bias: [rows], with half a unit of the shift. shift: [rows]. */
 typedef struct {
@@ -106,20 +99,6 @@ splatter *kernel_splatter_new(uint32_t features, uint32_t width, uint32_t offset
             take_row(&s->last, o / count[n] * s->outputs + first[n] + o % count[n], &from, width);
     }
     return s;
-}
-
-/* The sums of the products of pairs. */
-static ints pair_products(shorts a, shorts b)
-{
-#if defined(__wasm_simd128__)
-    return (ints)wasm_i32x4_dot_i16x8((v128_t)a, (v128_t)b);
-#elif defined(__SSE2__)
-    return (ints)_mm_madd_epi16((__m128i)a, (__m128i)b);
-#else
-    ints sums;
-    for (int i = 0; i < 4; i++) sums[i] = a[2 * i] * b[2 * i] + a[2 * i + 1] * b[2 * i + 1];
-    return sums;
-#endif
 }
 
 /* Four of the numbers of two vectors, by their places. */

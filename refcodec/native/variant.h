@@ -66,24 +66,22 @@
 #define SHIFT(v, p) vshlq_s32(v, vnegq_s32(LOAD(p)))
 #define STORE_CLAMPED(p, v)                                                                                          \
     vst1_s16(p, vmin_s16(vmax_s16(vqmovn_s32(v), vdup_n_s16(0)), vdup_n_s16(ACTIVATION_MAX)))
-#elif defined(HAS_SIMD128)
-#define VECTOR v128_t
-#define PAIRS v128_t
+#else
+/* The vectors of module.h. */
+#define VECTOR ints
+#define PAIRS shorts
 #define LANES 4
-#define LOAD_PAIRS(p) wasm_v128_load(p)
-#define LOAD(p) wasm_v128_load(p)
-#define STORE(p, v) wasm_v128_store(p, v)
-#define ADD(a, b) wasm_i32x4_add(a, b)
-#define DOT(acc, pair, w) wasm_i32x4_add(acc, wasm_i32x4_dot_i16x8(wasm_i32x4_splat(pair), w))
-/* There is no shift of each number by its own count. */
-#define SHIFT(v, p)                                                                                                  \
-    wasm_i32x4_make(wasm_i32x4_extract_lane(v, 0) >> (p)[0], wasm_i32x4_extract_lane(v, 1) >> (p)[1],                \
-                    wasm_i32x4_extract_lane(v, 2) >> (p)[2], wasm_i32x4_extract_lane(v, 3) >> (p)[3])
+#define LOAD_PAIRS(p) (*(const shorts *)(p))
+#define LOAD(p) (*(const ints *)(p))
+#define STORE(p, v) (*(ints *)(p) = (v))
+#define ADD(a, b) ((a) + (b))
+#define DOT(acc, pair, w) ((acc) + pair_products((shorts)(ints){pair, pair, pair, pair}, w))
+/* SSE2 and WebAssembly cannot shift each number by its own count. */
+#define SHIFT(v, p) ((ints){(v)[0] >> (p)[0], (v)[1] >> (p)[1], (v)[2] >> (p)[2], (v)[3] >> (p)[3]})
 #define STORE_CLAMPED(p, v)                                                                                          \
     do {                                                                                                             \
-        v128_t narrow = wasm_i16x8_narrow_i32x4(v, v);                                                               \
-        narrow = wasm_i16x8_min(wasm_i16x8_max(narrow, wasm_i16x8_splat(0)), wasm_i16x8_splat(ACTIVATION_MAX));      \
-        wasm_v128_store64_lane(p, narrow, 0);                                                                        \
+        ints own = (v) & ~((v) >> 31), past = own > ACTIVATION_MAX;                                                  \
+        *(few_shorts *)(p) = __builtin_convertvector((own & ~past) | (past & ACTIVATION_MAX), few_shorts);           \
     } while (0)
 #endif
 
@@ -96,11 +94,10 @@ INLINE __m512i NAMED(dot)(__m512i acc, __m512i pair, __m512i w)
 }
 #endif
 
-#if defined(LANES)
 /* As many vectors of sums as there are registers for: of a tile with so many vectors of outputs, the rows. Sums of one
- * vector wait for each other, so that few vectors need many rows. A browser on x86-64 has 16 registers.
+ * vector wait for each other, so that few vectors need many rows. SSE2 and a browser on x86-64 have 16 registers.
  */
-#if defined(HAS_SIMD128)
+#if LANES == 4 && !defined(HAS_NEON)
 #define TILE_MOST 2
 #define TILE_ROWS(vectors) (ROWS / 2)
 #else
@@ -139,33 +136,6 @@ INLINE void NAMED(tile)(const layer *l, const int16_t *a, int32_t stride, int32_
             }
         }
 }
-#else
-#define LANES OUTPUTS
-#define TILE_MOST 1
-#define TILE_ROWS(vectors) ROWS
-
-INLINE void NAMED(tile)(const layer *l, const int16_t *a, int32_t stride, int32_t o, const int rows, const int vectors,
-                        int16_t *hidden, int32_t *last, int32_t to, const int add)
-{
-    (void)vectors;
-    for (int r = 0; r < rows; r++) {
-        int32_t acc[OUTPUTS];
-        const int16_t *w = l->weight + 2 * (int64_t)o;
-        memcpy(acc, l->bias + o, sizeof acc);
-        for (int32_t i = 0; i < l->in; i += 2, w += 2 * (int64_t)l->out) {
-            int32_t first = a[(int64_t)r * stride + i], second = a[(int64_t)r * stride + i + 1];
-            for (int z = 0; z < OUTPUTS; z++) acc[z] += first * w[2 * z] + second * w[2 * z + 1];
-        }
-        for (int z = 0; z < OUTPUTS; z++) {
-            int32_t y = acc[z] >> l->shift[o + z];
-            if (hidden)
-                hidden[(int64_t)r * to + o + z] = (int16_t)clamp32(y, 0, ACTIVATION_MAX);
-            else
-                last[(int64_t)r * to + o + z] = y + (add ? last[(int64_t)r * to + o + z] : 0);
-        }
-    }
-}
-#endif
 
 /* The tiles of ROWS rows. */
 INLINE void NAMED(tiles)(const layer *l, const int16_t *a, int32_t stride, int32_t o, const int vectors,

@@ -18,7 +18,7 @@ static const uint8_t file[] = {
 };
 static kernel_tables *tables;
 
-/* The variant with vectors. */
+/* The best variant. */
 enum { VARIANT_USED = VARIANTS - 1 };
 
 EXPORT("allocate") void *web_allocate(uint32_t size) { return malloc(size ? size : 1); }

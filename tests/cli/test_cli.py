@@ -18,7 +18,9 @@ import time
 import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -35,10 +37,12 @@ from refcodec.bitstream.metadata import metadata
 from refcodec.bitstream.reader import Reader
 from refcodec.bitstream.reconstruction import Reconstruction, digest
 from refcodec.bitstream.scene import Ancillary
+from refcodec.cli import shared
 from refcodec.cli.main import GROUPS, _parser, main
 from refcodec.folder.read import read_folder
 from refcodec.folder.uncompressed import Uncompressed, write_uncompressed
 from refcodec.folder.write import write_folder
+from refcodec.native import library
 from refcodec.native.library import describe
 
 ROOT = Path(refcodec.__file__).parent
@@ -202,6 +206,25 @@ def test_reads_from_a_pipe(file, scene):
         check=False,
     )
     assert done.stdout.strip() == digest(scene)[0]
+
+
+def test_a_slower_path_is_told(file, capsys, monkeypatch):
+    """Once, if the chunks take over a second. The first line that is not the bar's has the reason."""
+    monkeypatch.setattr(library, "load", lambda: None)
+    monkeypatch.delenv(library.PATH_VARIABLE, raising=False)
+    shared._note_slower_path.cache_clear()
+    assert main(["validate", str(file)]) == 0
+    assert capsys.readouterr().err == ""
+    monkeypatch.setattr(shared, "time", SimpleNamespace(monotonic=count(step=2).__next__))
+    for told in (1, 0):
+        assert main(["validate", str(file)]) == 0
+        err = capsys.readouterr().err
+        assert err.count("\n") == told
+        assert err.count("a slower path runs than the processor allows: the native kernel is not there; it is") == told
+    shared._note_slower_path.cache_clear()
+    assert main(["validate", str(file), "--progress"]) == 0
+    assert "\rrefcodec: a slower path runs" in capsys.readouterr().err
+    shared._note_slower_path.cache_clear()
 
 
 def test_progress_only_when_wanted(file, capsys):

@@ -5,8 +5,11 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
+
+from refcodec.native import library
 
 ROOT = Path(__file__).resolve().parents[2]
 COMPILER = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
@@ -21,3 +24,14 @@ def sanitizer() -> str | None:
     asked = [COMPILER, "-print-file-name=libasan.so"]
     path = subprocess.run(asked, capture_output=True, text=True, check=False).stdout.strip()
     return path if os.path.isabs(path) and Path(path).exists() else None
+
+
+def build_kernel(folder: Path, **environment: str) -> Path:
+    """Builds the library as setup.py does, and returns its path. environment: additional variables, such as CC."""
+    command = [sys.executable, "setup.py", "-q", "build_ext", "--build-lib", folder, "--build-temp", folder / "temp"]
+    done = subprocess.run(
+        command, cwd=ROOT, env={**os.environ, **environment}, capture_output=True, text=True, check=False
+    )
+    path = folder / "refcodec" / "native" / library.LIBRARY.name
+    assert path.is_file(), done.stdout + done.stderr
+    return path

@@ -6,12 +6,10 @@ REFCODEC_TEST_KERNEL names one that is compiled already, for another processor: 
 from __future__ import annotations
 
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
-from c_compiler import COMPILER, ROOT, Use
+from c_compiler import COMPILER, Use, build_kernel
 
 from refcodec.native import library
 
@@ -23,12 +21,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
         return Path(made)
     if COMPILER is None:
         pytest.skip("there is no C compiler")
-    folder = tmp_path_factory.mktemp("kernel")
-    command = [sys.executable, "setup.py", "-q", "build_ext", "--build-lib", folder, "--build-temp", folder / "temp"]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
-    path = folder / "refcodec" / "native" / library.LIBRARY.name
-    assert path.is_file(), done.stdout + done.stderr
-    return path
+    return build_kernel(tmp_path_factory.mktemp("kernel"))
 
 
 @pytest.fixture

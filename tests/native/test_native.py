@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import ctypes
+import importlib.util
 import os
+import platform
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -14,7 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from c_compiler import COMPILER, ROOT, Use, sanitizer
+from c_compiler import COMPILER, ROOT, Use, build_kernel, sanitizer
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -377,12 +379,111 @@ def test_wrong_choices(
 
 
 def test_what_is_used_is_told(use: Use, capsys: pytest.CaptureFixture[str]) -> None:
-    for path, threads, told in (("plain", 1, "plain, 1 thread\n"), ("plain", 3, "plain, 3 threads\n")):
+    """With the reason if a slower path is selected than the processor allows."""
+    use(library.NATIVE)
+    found = library.load()
+    assert found is not None
+    *_, (_, best) = library.variants(found)
+    reason = "" if best == "plain" else f"; REFCODEC_PATH excludes {best}, which is faster"
+    for path, threads, told in (("plain", 1, "plain, 1 thread"), ("plain", 3, "plain, 3 threads")):
         use(path, threads)
         assert main(["--version"]) == statuses.DONE
-        assert capsys.readouterr().out.endswith(f"native kernel {told}")
+        assert capsys.readouterr().out.endswith(f"native kernel {told}{reason}\n")
     use(library.NUMPY)
-    assert library.describe() == "NumPy"
+    assert library.describe() == f"NumPy; REFCODEC_PATH excludes {best}, which is faster"
+    for path in (library.NATIVE, best):
+        use(path)
+        assert library.describe() == f"native kernel {best}, 1 thread"
+
+
+# --- the processor ----------------------------------------------------------------------------------------------------
+
+X86 = pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="cpuid is of x86-64")
+# The flags of Linux that a variant needs besides those of the variant before it.
+FLAGS = {
+    "plain": "sse2",
+    "avx2": "avx avx2 bmi1 bmi2 fma popcnt abm pclmulqdq",
+    "avx512": "avx512f avx512bw avx512dq avx512vl",
+    "avx512vnni": "avx512_vnni",
+}
+
+
+@X86
+def test_the_variants_are_those_of_the_systems_flags(built: Path) -> None:
+    try:
+        text = Path("/proc/cpuinfo").read_text(encoding="utf-8")
+    except OSError:
+        pytest.skip("the system states no flags of its processor")
+    lines = [line.partition(":")[2].split() for line in text.splitlines() if line.startswith("flags")]
+    found, wanted = library.load(built), []
+    assert lines
+    assert found is not None
+    for name, flags in FLAGS.items():
+        if not set(flags.split()) <= set(lines[0]):
+            break
+        wanted.append(name)
+    assert [name for _, name in library.variants(found)] == wanted
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(importlib.util.find_spec("ziglang") is None, reason="ziglang is not installed")
+def test_another_compiler_chooses_the_same_variant(built: Path, tmp_path: Path) -> None:
+    """zig links no run-time library of GCC, whose test of the processor then reports nothing."""
+    other = library.load(build_kernel(tmp_path, CC=f"{sys.executable} -m ziglang cc"))
+    found = library.load(built)
+    assert found is not None
+    assert other is not None
+    assert list(library.variants(other)) == list(library.variants(found))
+
+
+# The choice for other registers than those of this machine.
+CHOICE = """
+#include "kernel.c"
+KERNEL_API int32_t choice(const uint32_t *numbers)
+{
+    registers r;
+    memcpy(&r, numbers, sizeof r);
+    return best_variant(r);
+}
+"""
+
+
+def bits(*numbers: int) -> int:
+    return sum(1 << number for number in numbers)
+
+
+@X86
+@pytest.mark.skipif(COMPILER is None, reason="there is no C compiler")
+def test_the_choice_for_any_registers(tmp_path: Path) -> None:
+    """A variant needs all its instructions, and an operating system that saves its registers."""
+    source, path = tmp_path / "choice.c", tmp_path / "choice.so"
+    source.write_text(CHOICE, encoding="utf-8")
+    flags = ["-std=gnu11", "-O0", "-w", "-fPIC", "-shared", "-pthread", "-I", str(ROOT / "refcodec" / "native")]
+    subprocess.run([str(COMPILER), *flags, str(source), "-o", str(path)], check=True)
+    choice = ctypes.CDLL(str(path)).choice
+    # ECX of leaf 1: PCLMULQDQ, FMA, POPCNT, OSXSAVE, AVX. EBX of leaf 7: BMI1, AVX2, BMI2, AVX512F, DQ, BW, VL.
+    # ECX of leaf 7: AVX512_VNNI. ECX of leaf 0x80000001: LZCNT. XCR0: XMM, YMM, opmask, both parts of ZMM.
+    needed = [[1, 12, 23, 27, 28], [3, 5, 8, 16, 17, 30, 31], [11], [5], [1, 2, 5, 6, 7]]
+
+    def chosen(numbers: list[list[int]]) -> str:
+        return list(FLAGS)[choice((ctypes.c_uint32 * 5)(*(bits(*register) for register in numbers)))]
+
+    assert chosen(needed) == "avx512vnni"
+    assert chosen([[]] * 5) == "plain"
+    without = {
+        (register, bit): chosen([[b for b in r if (i, b) != (register, bit)] for i, r in enumerate(needed)])
+        for register, r in enumerate(needed)
+        for bit in r
+    }
+    assert without == {
+        **{(0, bit): "plain" for bit in needed[0]},
+        **{(1, bit): "plain" if bit < 16 else "avx2" for bit in needed[1]},
+        (2, 11): "avx512",
+        (3, 5): "plain",
+        **{(4, bit): "plain" if bit < 5 else "avx2" for bit in needed[4]},
+    }
+    # The operating system saves nothing, whatever the processor has.
+    assert chosen([*([*range(32)] for _ in range(4)), []]) == "plain"
 
 
 # --- sanitizers -------------------------------------------------------------------------------------------------------
