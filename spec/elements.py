@@ -108,7 +108,8 @@ def values(row: Row, data: bytes) -> np.ndarray | None:
 
 def _of_vector(vector: Vector, data: bytes, found: dict[str, Range]) -> None:
     """Adds the elements of a vector."""
-    expected, section, profile, starts = vector.expectation, "", "", {}
+    expected, section, profile = vector.expectation, "", ""
+    starts: dict[str, int] = {}
     code, offset = (expected.code, expected.offset) if isinstance(expected, Rejected) else (0, -1)
     for row in rows(data):
         if row.kind == "bytes[4]":
