@@ -17,6 +17,7 @@ from docutils import nodes
 from sphinx.application import Sphinx
 from sphinx.transforms import SphinxTransform
 
+from conformance import manifest
 from refcodec.inspect import specification
 from spec.coverage import RECORD
 from spec.decoder import TARGET
@@ -41,6 +42,7 @@ details.reached pre { margin: 0; padding: 0; white-space: pre-wrap; background: 
 def by_block() -> dict[str, list[Reach]]:
     """Returns what reaches each line of each block of SPEC.md, by the text of the block."""
     record = json.loads(Path(RECORD).read_text(encoding="utf-8"))["lines"]
+    names = [vector.id for vector in manifest.load().vectors]
     source = TARGET.read_text(encoding="utf-8").splitlines()
     found: dict[str, list[Reach]] = {}
     at = 0
@@ -54,7 +56,7 @@ def by_block() -> dict[str, list[Reach]]:
                 at += 1
             at += 1
             entry = record.get(str(at))
-            reached.append((entry[0], tuple(entry[1:])) if isinstance(entry, list) else entry)
+            reached.append((entry[0], tuple(names[place] for place in entry[1:])) if isinstance(entry, list) else entry)
         found[block.rstrip("\n")] = reached
     return found
 
@@ -73,9 +75,9 @@ class Blocks(SphinxTransform):
         if self.env.docname not in {f"spec/{chapter.name}" for chapter in chapters.chapters()}:
             return
         for block in list(self.document.findall(nodes.literal_block)):
-            reach = by_block().get(block.astext())
+            reach = by_block().get(block.astext().rstrip("\n"))
             if reach is not None:
-                block.replace_self(Block(block.rawsource, block.astext(), reach=reach))
+                block.replace_self(Block(block.rawsource, block.astext().rstrip("\n"), reach=reach))
 
 
 def _words(reach: tuple[int, tuple[str, ...]] | str) -> str:

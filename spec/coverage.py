@@ -363,16 +363,18 @@ def versions() -> dict[str, str]:
 def record(sites: list[Site], found: list[list[str]], manifest: Manifest) -> str:
     """Returns the record of the lines, which the manual shows, as JSON.
 
-    "lines" has, by the lines of blocks.py, the number of vectors that reach a line followed by the smallest ones, or
-    the reason why none does. found: as of_vectors returns it.
+    "lines" has, by the lines of blocks.py, the number of vectors that reach a line followed by the places of the
+    smallest ones in the manifest, or the reason why none does. found: as of_vectors returns it.
     """
-    size = {vector.id: vector.input.size for vector in manifest.vectors}
+    size = {vector.id: (vector.input.size, place) for place, vector in enumerate(manifest.vectors)}
     lines = {}
     for site, names in zip(sites, found, strict=True):
         if site.kind == LINE:
-            reaching = sorted(set(names) - {ANY_FILE}, key=lambda name: (size[name], name))
+            reaching = sorted(set(names) - {ANY_FILE}, key=size.__getitem__)
             count = len(size) if ANY_FILE in names else len(reaching)
-            lines[site.line] = [count, *reaching[:SHOWN]] if count else site.argued() or "open"
+            lines[site.line] = (
+                [count, *(size[name][1] for name in reaching[:SHOWN])] if count else site.argued() or "open"
+            )
     rows = ",\n".join(f'  "{line}": {json.dumps(entry)}' for line, entry in sorted(lines.items()))
     return f'{json.dumps(versions(), indent=1)[:-2]},\n "lines": {{\n{rows}\n }}\n}}\n'
 
