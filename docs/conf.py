@@ -12,7 +12,7 @@ project = "C3GS"
 author = "The C3GS maintainers"
 copyright = author
 release = version = __version__
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "docs.anchors"]
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "docs.anchors", "docs.reach"]
 html_theme = "furo"
 html_title = "C3GS"
 html_copy_source = False

@@ -3,7 +3,8 @@
 python -m spec            writes the files that are not current
 python -m spec --check    names stale files and wrong citations of SPEC.md, and exits with 1 if there are any
 python -m spec --vectors  prints the vectors of each requirement, error code, feature and flag
-python -m spec --coverage prints which lines and conditions of the blocks no vector reaches, in a minute
+python -m spec --coverage prints which lines, conditions and extremes no vector reaches, in a minute
+python -m spec --coverage --write also writes docs/coverage.json, the vectors of each line, which the manual shows
 """
 
 from __future__ import annotations
@@ -25,14 +26,14 @@ MAKERS: tuple[Callable[[], Iterator[Made]], ...] = (
 
 def main(arguments: list[str]) -> int:
     """Runs the command and returns its exit status. arguments: those after `python -m spec`."""
-    if arguments not in ([], ["--check"], ["--vectors"], ["--coverage"]):
+    if arguments not in ([], ["--check"], ["--vectors"], ["--coverage"], ["--coverage", "--write"]):
         print(__doc__, file=sys.stderr)
         return 64
     if arguments == ["--vectors"]:
         print("\n".join(matrix.vector_lists(load())))
         return 0
-    if arguments == ["--coverage"]:
-        return coverage.main()
+    if arguments[:1] == ["--coverage"]:
+        return coverage.main(write="--write" in arguments)
     stale = False
     for make in MAKERS:
         for file in make():

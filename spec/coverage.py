@@ -3,12 +3,16 @@
 The second decoder, which is made from the blocks, runs with a probe at each statement of its functions, and with two at
 each condition: for true and for false. A condition is an operand of `and`, `or` and `not`, or else the whole test of a
 statement, of a comprehension or of REQUIRE. A place that no vector reaches is a hole, unless `argued` gives a reason.
-A third kind of probe keeps the extremes of the integers that 7.11 bounds.
+A third kind of probe keeps the extremes of the integers that 7.11 bounds. A fourth one shows whether a comparison of
+order was decided at its bound: by the last numbers with which it holds, and by the first ones with which it fails.
 """
 
 from __future__ import annotations
 
 import ast
+import copy
+import hashlib
+import json
 import os
 import re
 from collections.abc import Iterator
@@ -21,17 +25,33 @@ from tqdm import tqdm
 
 from conformance import spec_decoder
 from conformance.cases.cameras import expected
-from conformance.manifest import VECTORS, GaussiansOf, Manifest, Vector, load
+from conformance.manifest import MANIFEST, VECTORS, GaussiansOf, Manifest, Vector, load
 from conformance.spec_decoder import Names, blocks
 
+from . import elements
 from .decoder import SPEC, TARGET
+from .made import ROOT
 
 LINE, TRUE, FALSE = "is not run", "is never true", "is never false"
+AT, BEYOND = "never just holds", "never just fails"
+KINDS = {
+    "statements": {LINE},
+    "outcomes of conditions": {TRUE, FALSE},
+    "bounds of comparisons": {AT, BEYOND},
+}
+ANY_FILE = "any file"
+# The record of the lines, and how many vectors it names for each.
+RECORD, SHOWN = ROOT / "docs" / "coverage.json", 10
 # Functions of images, which no vector has: tests/render compares the renderer with them.
 IMAGES = {"ROTATION", "PRODUCT", "PROJECT", "PIXEL"}
+# Functions that compare real numbers, which have no next number.
+REAL = IMAGES | {"GAUSSIANS", "NORMALISED", "LOGISTIC"}
 # Places that need no vector, by function, text and what does not happen there, with the reason.
 ARGUED = {
     ("LOGISTIC", "x > -700", FALSE): "a guard for exp: the result is 0 within every tolerance",
+    ("ROUND_F32", "n < 0", BEYOND): "0 was returned before",
+    ("at", "i < size", BEYOND): "no neighbour is below its point",
+    ("CONTRACT", "q <= unit * unit", BEYOND): "the contraction of this length changes nothing",
 }
 
 # A quantity is reached if its largest magnitude has as many bits as its bound, or one less, or more than 32: no
@@ -161,6 +181,23 @@ class _Probes(ast.NodeTransformer):
     def visit_BoolOp(self, node: ast.BoolOp) -> ast.AST:
         return self._condition(node)
 
+    def visit_Compare(self, node: ast.Compare) -> ast.AST:
+        """Returns a comparison of order with probes at its bound. It may be one of several, as in a < b < c."""
+        pairs = list(zip([node.left, *node.comparators], node.ops, node.comparators, strict=False))
+        ordered = all(isinstance(op, (ast.Lt, ast.LtE, ast.Gt, ast.GtE)) for op in node.ops)
+        if not ordered or self._functions[-1] in REAL:
+            return self.generic_visit(node)
+        parts: list[ast.expr] = []
+        for left, op, right in pairs:
+            text = ast.unparse(ast.Compare(left, [op], [right]))
+            number = self._site(node, text, AT)
+            self._site(node, text, BEYOND)
+            low, high = (left, right) if isinstance(op, (ast.Lt, ast.LtE)) else (right, left)
+            strict = ast.Constant(isinstance(op, (ast.Lt, ast.Gt)))
+            operands = [self.visit(copy.deepcopy(each)) for each in (low, high)]
+            parts.append(ast.Call(ast.Name("_bound", ast.Load()), [ast.Constant(number), *operands, strict], []))
+        return parts[0] if len(parts) == 1 else ast.BoolOp(ast.And(), parts)
+
     def visit_comprehension(self, node: ast.comprehension) -> ast.AST:
         tests, node.ifs = node.ifs, []
         self.generic_visit(node)
@@ -216,6 +253,12 @@ def probed() -> Probed:
         seen[number if value else number + 1] = 1
         return value
 
+    def bound(number: int, low: int, high: int, strict: bool) -> bool:
+        slack = high - low - strict
+        if -1 <= slack <= 0:
+            seen[number - slack] = 1
+        return slack >= 0
+
     def extreme(quantity: str, value: int) -> int:
         least, greatest = extremes.get(quantity, (value, value))
         if value <= least or value >= greatest:
@@ -223,7 +266,7 @@ def probed() -> Probed:
         return value
 
     space: Names = {"__name__": blocks.__name__, "__package__": blocks.__package__, "_seen": seen}
-    space["_condition"], space["_extreme"] = condition, extreme
+    space |= {"_condition": condition, "_bound": bound, "_extreme": extreme}
     exec(compile(ast.unparse(tree), str(TARGET), "exec"), space)
     return Probed(space, seen, probes.sites, extremes)
 
@@ -254,9 +297,9 @@ def _reached(vector: Vector) -> tuple[str, list[int], dict[str, tuple[int, int]]
 def of_vectors(manifest: Manifest, jobs: int) -> tuple[list[list[str]], dict[str, tuple[int, int]]]:
     """Returns the identifiers of the vectors that reach each probe, by its number, and the extremes of all quantities.
 
-    jobs: the number of processes. Loading the second decoder counts as the vector "any file".
+    jobs: the number of processes. Loading the second decoder counts as the vector ANY_FILE.
     """
-    found: list[list[str]] = [["any file"] if each else [] for each in probed().seen]
+    found: list[list[str]] = [[ANY_FILE] if each else [] for each in probed().seen]
     extremes: dict[str, tuple[int, int]] = {}
     longest_first = sorted(manifest.vectors, key=lambda vector: -vector.input.size)
     with ProcessPoolExecutor(jobs) as pool:
@@ -273,12 +316,12 @@ def of_vectors(manifest: Manifest, jobs: int) -> tuple[list[list[str]], dict[str
 def report(sites: list[Site], found: list[list[str]]) -> tuple[list[str], int]:
     """Returns lines on statements and conditions, and the number of holes. found: as of_vectors returns it."""
     lines, holes = [], 0
-    for name, kinds in (("statements", {LINE}), ("outcomes of conditions", {TRUE, FALSE})):
+    for name, kinds in KINDS.items():
         own = [(site, vectors) for site, vectors in zip(sites, found, strict=True) if site.kind in kinds]
         missed = [site for site, vectors in own if not vectors]
         argued = [site for site in missed if site.argued()]
         holes += len(missed) - len(argued)
-        once = sum(len(vectors) == 1 and vectors != ["any file"] for _, vectors in own)
+        once = sum(len(vectors) == 1 and vectors != [ANY_FILE] for _, vectors in own)
         lines.append(
             f"{name}: {len(own)}, of which the vectors reach {len(own) - len(missed)} ({once} by one vector alone); "
             f"{len(argued)} argued, {len(missed) - len(argued)} open"
@@ -311,10 +354,37 @@ def extremes_of(text: str, extremes: dict[str, tuple[int, int]]) -> tuple[list[s
     return [head, *lines], unreached
 
 
-def main(jobs: int | None = None) -> int:
-    """Prints the report. Returns 1 if there is a hole, else 0."""
-    found, extremes = of_vectors(load(), jobs or os.cpu_count() or 1)
-    lines, holes = report(_probed().sites, found)
-    more, unreached = extremes_of(SPEC.read_text(encoding="utf-8"), extremes)
-    print("\n".join([*lines, *more]))
-    return 1 if holes or unreached else 0
+def versions() -> dict[str, str]:
+    """Returns the SHA-256 of the blocks and of the manifest: a record of other ones is not current."""
+    files = {"blocks": TARGET, "manifest": VECTORS / MANIFEST}
+    return {name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in files.items()}
+
+
+def record(sites: list[Site], found: list[list[str]], manifest: Manifest) -> str:
+    """Returns the record of the lines, which the manual shows, as JSON.
+
+    "lines" has, by the lines of blocks.py, the number of vectors that reach a line followed by the places of the
+    smallest ones in the manifest, or the reason why none does. found: as of_vectors returns it.
+    """
+    size = {vector.id: (vector.input.size, place) for place, vector in enumerate(manifest.vectors)}
+    lines = {}
+    for site, names in zip(sites, found, strict=True):
+        if site.kind == LINE:
+            reaching = sorted(set(names) - {ANY_FILE}, key=size.__getitem__)
+            count = len(size) if ANY_FILE in names else len(reaching)
+            lines[site.line] = (
+                [count, *(size[name][1] for name in reaching[:SHOWN])] if count else site.argued() or "open"
+            )
+    rows = ",\n".join(f'  "{line}": {json.dumps(entry)}' for line, entry in sorted(lines.items()))
+    return f'{json.dumps(versions(), indent=1)[:-2]},\n "lines": {{\n{rows}\n }}\n}}\n'
+
+
+def main(jobs: int | None = None, write: bool = False) -> int:
+    """Prints the report. Returns 1 if there is a hole, else 0. write: whether to write the record of the lines."""
+    manifest, text = load(), SPEC.read_text(encoding="utf-8")
+    found, extremes = of_vectors(manifest, jobs or os.cpu_count() or 1)
+    reports = report(_probed().sites, found), extremes_of(text, extremes), elements.report(text, manifest)
+    print("\n".join(line for lines, _ in reports for line in lines))
+    if write:
+        RECORD.write_text(record(_probed().sites, found, manifest), encoding="utf-8")
+    return 1 if any(holes for _, holes in reports) else 0

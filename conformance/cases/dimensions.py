@@ -50,8 +50,12 @@ OF_MAIN: Bounds = {
     "render_width": ([1, 128], "D7.2-2", "main-bounds"),
     "hyper_width": ([(), (1,), (128,), (3, 128)], "D7.2-2", "hidden-layers main-bounds"),
     "sarm_width": ([(1,), (32, 1), (3, 32)], "D7.2-2", "main-bounds"),
-    "carm_width": ([(), (128,), (2, 128)], "D7.9-1", "hidden-layers main-bounds"),
-    "slices": ([(1,), (64,), (64, 64), (1,) * 16, (1, 64, 63), (8,) * 16], "D7.9-1 D7.10-1", "carm-slices main-bounds"),
+    "carm_width": ([(), (1,), (128,), (2, 128)], "D7.9-1", "hidden-layers main-bounds"),
+    "slices": (
+        [(1,), (64,), (64, 64), (1,) * 16, (1, 64, 63), (64, 63, 1), (8,) * 16],
+        "D7.9-1 D7.10-1",
+        "carm-slices main-bounds",
+    ),
 }
 SMALLEST_OF_MAIN = Dimensions(1, (1,), 0, 0, 0, (), (), (), 1)
 LARGEST_OF_MAIN = Dimensions(16, (64, 64), 16, 16, 3, (128, 128), (32, 32), (128, 128), 128)
@@ -103,6 +107,7 @@ def _whole(book: Book) -> None:
     parts: list[tuple[str, str, Dimensions, dict[str, Any]]] = [
         ("planeless", "no planes", PLANELESS, {}),
         ("unencoded", "no positional encoding", UNENCODED, {}),
+        ("one-frequency", "no planes, and one frequency", replace(PLANELESS, frequency_count=1), {}),
         ("constant", "no hyperprior: neither planes nor an encoding, and F_h has its biases alone", CONSTANT, {}),
         ("main-smallest", "every dimension of Main as small as it can be", SMALLEST_OF_MAIN, {"profile": MAIN}),
         (

@@ -220,6 +220,8 @@ def _refused_ends(book: Book) -> None:
     book.add("malformed-attributes-of-3-bytes", title, make, features="substream attributes", flags="truncation")
     title = "a word_count whose double is right modulo 2^32"
     book.add("malformed-words-wrap", title, _words_wrap, features="substream", flags="sum-wraps lengths-trusted")
+    title = "words that end one byte behind their substream"
+    book.add("malformed-words-by-one-byte", title, _word_of_one_byte, features="substream", flags="lengths-trusted")
     # The 16 bits of an escape fill two bytes. A third byte is unused.
     title, proved = "a raw byte after the last bit fills the one before", "D8.8-1 D8.8-2 D8.7-1"
     make = raw_bytes.of(partial(far, radius() + (1 << 7) + 3), ATTRIBUTES_0, b"\0")
@@ -245,6 +247,12 @@ def _refused_ends(book: Book) -> None:
 def _words_wrap() -> Refused:
     t = plain()
     return word_count(t, ATTRIBUTES_0, t.substreams[ATTRIBUTES_0].words + (1 << 31))
+
+
+def _word_of_one_byte() -> Refused:
+    # The 18 bits of an escape have three bytes, and two words would have four.
+    t = far(radius() + (1 << 8) + 3)
+    return word_count(t, ATTRIBUTES_0, t.substreams[ATTRIBUTES_0].words + 2)
 
 
 # --- the suite's valid files ------------------------------------------------------------------------------------------

@@ -65,19 +65,22 @@ PLANE_2 = "planes.r2.top_right"
 
 @fault("substream.symbol_range")
 def larger_plane_symbol(t: Target) -> Edit:
-    """The largest plane symbol is increased by one. The raw bytes are its escape, which has unused low bits."""
+    """The magnitude of the largest plane symbol is increased by one. The raw bytes are its escape."""
     s = t.substreams[PLANE_2]
     bits = int.from_bytes(t.data[s.raw_at : s.end], "little") + (1 << 16)
     return Edit({s.raw_at: bits.to_bytes(s.end - s.raw_at, "little")}, s.start)
 
 
 @fault("substream.symbol_range")
-def large_weight(t: Target, layer: str) -> Whole:
-    """A packed layer has the largest integer, and one more, in the first two rows of its first column."""
+def large_weight(t: Target, layer: str, sign: int = 1) -> Whole:
+    """A packed layer has the largest integer, and one more, in the first two rows of its first column.
+
+    sign: -1 for those of the opposite sign.
+    """
 
     def change(g: GridLayer) -> GridLayer:
         weight = g.weight.copy()
-        weight[:2, 0] = WEIGHT_SYMBOL_MAX, WEIGHT_SYMBOL_MAX + 1
+        weight[:2, 0] = sign * WEIGHT_SYMBOL_MAX, sign * (WEIGHT_SYMBOL_MAX + 1)
         return replace(g, weight=weight)
 
     return Whole(with_integers(t, layer, change, Unlimited).data, t.substreams["weights"].start)
@@ -87,7 +90,7 @@ def large_weight(t: Target, layer: str) -> Whole:
 def _(draw: Draw, t: Target) -> Drawn:
     t = grids(draw.integer(0, SEEDS - 1))
     rows = {name: out for name, out, _ in layers_of(t.header.dimensions)}
-    return t, draw.choice([layer for layer in t.layers[1:] if rows[layer] > 1])
+    return t, draw.choice([layer for layer in t.layers[1:] if rows[layer] > 1]), draw.choice([1, -1])
 
 
 @fault("substream.symbol_range")
@@ -122,13 +125,13 @@ def add(book: Book) -> None:
 
 
 @cache
-def _largest_plane_symbol() -> Target:
-    """Returns a file whose only nonzero plane symbol is the largest: an escape with 14 zero bits."""
+def _largest_plane_symbol(sign: int = 1) -> Target:
+    """Returns a file whose only nonzero plane symbol is the largest, times sign: an escape with 14 zero bits."""
     made = scene("refused-plane", 0, SMALLEST, lanes=Lanes(0, 0, 0))
     made.networks["sarm"][:] = silent(made.networks["sarm"])
     made.networks["sarm"][-1][1][1] = -40
     made.planes[:] = 0
-    made.planes[2, 0, 1, 1] = PLANE_SYMBOL_MAX
+    made.planes[2, 0, 1, 1] = sign * PLANE_SYMBOL_MAX
     return Target(codec.emit(made))
 
 
@@ -142,9 +145,21 @@ def _refused_symbols(book: Book) -> None:
             "planes escapes",
         ),
         (
+            "plane-symbol-minus-2-15",
+            "a plane symbol of -2^15, which 16 bits hold",
+            larger_plane_symbol.of(partial(_largest_plane_symbol, -1)),
+            "planes escapes",
+        ),
+        (
             "weight-symbol-2-24",
             "an integer of a weight of 2^24",
             large_weight.of(grids, "colour.1"),
+            "packed-weights escapes",
+        ),
+        (
+            "weight-symbol-minus-2-24",
+            "an integer of a weight of -2^24",
+            large_weight.of(grids, "colour.1", -1),
             "packed-weights escapes",
         ),
         # 16 raw bits: the symbol of a model is in units of 2^16, and its low bits exceed the limit.

@@ -57,6 +57,7 @@ def add(book: Book) -> None:
         ("low[2]", -(1 << 18) - 1, "too-small"),
         ("high[0]", (1 << 18) + 1, "too-large"),
         ("high[2]", -(1 << 31), "below-low"),
+        ("high[1]", -(1 << 18), "too-small"),
     ):
         title, make = f"{field} of the frame is {value}", number.of(plain, f"frame.{field}", value)
         add(f"invalid-frame-{label_of(field)}-{name}", title, make, flags="limit-off-by-one signed-limits")

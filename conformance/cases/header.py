@@ -300,11 +300,13 @@ def _fields(book: Book) -> None:
         ("position_grid.reserved", 128),
         ("render_info.reserved", 1),
         ("dimensions.reserved", 255),
+        ("dimensions.reserved", 1),
         ("directory[0].reserved[0]", 1),
         ("directory[2].reserved[1]", 1),
         ("directory[6].reserved[2]", 128),
     ):
-        name, title, make = f"header-set-{label_of(path)}", f"{path} is {value}", reserved.of(plain, path, value)
+        title, make = f"{path} is {value}", reserved.of(plain, path, value)
+        name = f"header-set-{label_of(path if (path, value) != ('dimensions.reserved', 1) else f'{path}.1')}"
         book.add(f"unsupported-{name}", title, make, features="header", flags="reserved-unchecked")
     for part, values in (("plane", [9]), ("mask", [9, 32]), ("attribute", [9])):
         for value in values:
@@ -398,6 +400,7 @@ def _render_info(book: Book) -> None:
         ("low_pass", -1.0, "minus-one"),
         ("distance_unit", -INFINITY, "infinite"),
         ("alpha_max", INFINITY, "infinite"),
+        ("distance_unit", INFINITY, "plus-infinite"),
     ):
         title, make = f"{field} is {text.replace('-', ' ')}", render_info.of(plain, f"render_info.{field}", value)
         add(f"invalid-{label_of(field)}-{text}", title, make, flags="float-limits")
@@ -405,7 +408,14 @@ def _render_info(book: Book) -> None:
     largest = RenderInfo((255, 255, 255), 5, LARGEST_F32, LARGEST_F32, 1.0, LARGEST_F32, 255, 255)
     zeros = replace(RenderInfo(), low_pass=-0.0)
     linear = replace(RenderInfo(), transfer_characteristics=8)
-    rows = (("least", least), ("largest", largest), ("negative-zeros", zeros), ("linear-light", linear))
+    codes = replace(RenderInfo(), colour_primaries=0, transfer_characteristics=0)
+    rows = (
+        ("least", least),
+        ("largest", largest),
+        ("negative-zeros", zeros),
+        ("linear-light", linear),
+        ("codes-of-0", codes),
+    )
     for name, render in rows:
         book.valid(
             f"render-info-{name}",
@@ -430,22 +440,27 @@ def _render_info(book: Book) -> None:
             requirements="R11.1-2 G6.5-1 D9.3-1",
             flags="limit-off-by-one render-model",
         )
-    book.valid(
-        "main-render-model-2",
-        "render model 2 in Main, without view inputs",
-        partial(
-            scene,
-            "render-model-main",
-            1,
-            replace(SMALLEST, view_inputs=0),
-            profile=MAIN,
-            chunk_size=256,
-            render=replace(RenderInfo(), render_model=2),
-        ),
-        features="render-info dimensions main",
-        requirements="R11.1-2 G6.5-1",
-        flags="limit-off-by-one render-model",
-    )
+    for model, title, inputs, outputs in (
+        (2, "without view inputs", 0, 3),
+        (3, "with one colour output", 4, 1),
+        (255, "with 8 view inputs and 48 colour outputs", 8, 48),
+    ):
+        book.valid(
+            f"main-render-model-{model}",
+            f"render model {model} in Main, {title}",
+            partial(
+                scene,
+                "render-model-main",
+                1,
+                replace(SMALLEST, view_inputs=inputs, colour_outputs=outputs),
+                profile=MAIN,
+                chunk_size=256,
+                render=replace(RenderInfo(), render_model=model),
+            ),
+            features="render-info dimensions main",
+            requirements="R11.1-2 G6.5-1",
+            flags="limit-off-by-one render-model",
+        )
 
 
 def _position_grids(book: Book) -> None:

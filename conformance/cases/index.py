@@ -347,6 +347,8 @@ def _bounds(book: Book) -> None:
         ("high-infinite", 1, "high[1]", "infinite"),
         ("high-not-a-number", 2, "high[2]", "not-a-number"),
         ("high-negative-zero", 0, "high[0]", "negative-zero"),
+        ("low-plus-infinite", 1, "low[1]", "infinite"),
+        ("high-minus-infinite", 2, "high[0]", "minus-infinite"),
     ):
         field_name, _, what = name.partition("-")
         title = f"{field_name} of a chunk is {what.replace('-', ' ')}"
@@ -445,6 +447,21 @@ def _valid(book: Book) -> None:
         features="chunks raw-positions",
         requirements="R6.10-5 R6.11-10",
         flags="half-limits subnormals",
+    )
+    book.valid(
+        "index-bounds-at-the-ends",
+        "two chunks, one of the largest numbers of f16, and one of the least",
+        partial(
+            drawn,
+            "index-bounds-at-the-ends",
+            2,
+            SMALLEST,
+            positions=np.array([[65504] * 3, [-65504] * 3], np.float16),
+            chunk_size=1,
+        ),
+        features="chunks raw-positions",
+        requirements="R6.10-5 R6.11-10",
+        flags="half-limits",
     )
     book.valid(
         "index-fullest",

@@ -159,6 +159,8 @@ WORK_BEYOND = {
 }
 # Dimensions whose planes are a fifth of the work of level 1.
 WORK_OF_PLANES = Dimensions(10, (64, 64), 16, 16, 128, (115, 120), (32, 32), (26,), 32)
+# Dimensions, and a number of anchors, whose work is one more than level 1 allows.
+WORK_BEYOND_BY_ONE = Dimensions(10, (64, 64), 1, 16, 101, (92, 128), (7,), (26,), 32), 130906
 
 
 def header_of(d: Dimensions, level: int, anchors: int, size: int = 16384) -> bytes:
@@ -274,6 +276,8 @@ OUTSIDE_MAIN: list[tuple[str, list[int]]] = [
     ("slice_width[3]", [0, 65]),
     ("plane_channels", [17]),
     ("frequency_count", [17]),
+    ("view_inputs", [9]),
+    ("colour_outputs", [0, 49]),
     ("plane_size", [0, 1, 1025, 65535]),
     ("render_width", [0, 129]),
     ("hyper_width[0]", [0, 129]),
@@ -398,6 +402,22 @@ def _work(book: Book) -> None:
     add("malformed-work-of-rendering", title, make, flags="level-not-minimal work-bound")
     title, make = "one anchor more than that", too_much_work.of(plain, d, 1, most + 1)
     add("invalid-work-of-planes", title, make, flags="work-bound")
+    d_one, anchors = WORK_BEYOND_BY_ONE
+    assert work(d_one, anchors) == bound + 1
+    title, make = "work of 2^33 + 1 at level 1", too_much_work.of(plain, d_one, 1, anchors)
+    add("invalid-work-beyond-by-one", title, make, flags="work-bound limit-off-by-one")
+    title, flags = (
+        "level 2, which a work of 2^33 + 1 needs, and nothing behind the header",
+        "level-not-minimal work-bound",
+    )
+    add("malformed-work-needs-2-by-one", title, header_alone.of(plain, d_one, 2, anchors), flags=flags)
+    anchors = PROFILES[MAIN].levels[1].anchors + 1
+    title, flags = (
+        f"level 2, which {anchors} anchors need, and nothing behind the header",
+        "level-limits level-not-minimal",
+    )
+    make = header_alone.of(plain, SMALLEST, 2, anchors)
+    add("malformed-level-2-by-one-anchor", title, make, flags=flags)
     for number, size in ((2, 256), (4, 512), (5, 1024)):
         title = f"planes of {size}, and no anchors: level {number}, which the planes alone need"
         make = header_alone.of(plain, replace(d, plane_size=size), number, 0)

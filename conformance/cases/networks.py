@@ -30,6 +30,11 @@ from .weights_packed import with_integers
 ROWS = Dimensions(1, (6, 2), 2, 3, 4, (16,), (4,), (16,), 1)
 # What such a row leaves for its bias.
 SPARE = (1 << 24) - 1 - 16 * 1023 * 1023
+# The largest weight, which rounds to 1023, and the f32 below the least one, -1023.5.
+LARGEST, BELOW = (
+    float(np.nextafter(np.float32(1023.5), np.float32(0))),
+    float(np.nextafter(np.float32(-1023.5), -LARGEST_F32)),
+)
 LARGE_WEIGHTS = [1023.5, -1023.75, 1024.0, -LARGEST_F32]
 
 
@@ -143,6 +148,7 @@ def _refused(book: Book) -> None:
     add = partial(book.add, features="raw-weights")
     values: list[tuple[str, str, tuple[str, int, int | None, float]]] = [
         ("weight-1023-5", "a weight that rounds to 1024 at each exponent", ("hyper.1", 3, 1, 1023.5)),
+        ("weight-below-minus-1023-5", "the f32 below -1023.5 as a weight", ("hyper.1", 2, 0, BELOW)),
         ("weight-minus-1024", "a weight of -1024", ("carm.1.0", 1, 0, -1024.0)),
         ("weight-largest", "the largest f32 as a weight", ("sarm.2", 1, 3, -LARGEST_F32)),
         ("bias-2-24", "a bias of 2^24", ("hyper.0", 1, None, 2.0**24)),
@@ -215,6 +221,14 @@ def _valid(book: Book) -> None:
         flags="exponent-limit",
     )
     book.valid(
+        "network-largest-weight",
+        "the largest weight, and the least one",
+        partial(_with_hyper, "network-largest-weight", _largest_weight, 2),
+        features="networks raw-weights",
+        requirements="D7.2-1",
+        flags="weight-limit weight-rounding",
+    )
+    book.valid(
         "weights-tiny",
         "weights and biases of 2^-40 to 2^-149 among others, which round to 0",
         _tiny,
@@ -240,6 +254,12 @@ def _weight_limit(layers: list[Layer]) -> None:
     ):
         w[r], b[r] = 0, r - 4
         w[r, r] = value
+
+
+def _largest_weight(layers: list[Layer]) -> None:
+    w, b = layers[-1]
+    w[:2], b[:2] = 0, 0
+    w[0, 0], w[1, 1] = LARGEST, -1023.5
 
 
 def _weight_ties(layers: list[Layer]) -> None:

@@ -14,12 +14,12 @@ from refcodec.bitstream.directory import WEIGHTS
 from refcodec.bitstream.entropy import Coder, Encoder
 from refcodec.bitstream.header import Lanes
 from refcodec.bitstream.scene import Scene
-from refcodec.bitstream.weights import WEIGHT_EXPONENT_MIN, GridLayer
+from refcodec.bitstream.weights import WEIGHT_EXPONENT_MAX, WEIGHT_EXPONENT_MIN, GridLayer
 from refcodec.encoder.weights import pack_weights
 
 from .book import Book
 from .checksums import resized
-from .fault import Draw, Drawn, Edit, Whole, fault, one_field
+from .fault import Draw, Drawn, Edit, Refused, Whole, fault, one_field
 from .numbers import Int64, Numbers
 from .samplers import Sampler, drawn, sampled
 from .scenes import (
@@ -257,6 +257,7 @@ def _refused(book: Book) -> None:
             "colour.1",
             15,
         ),
+        ("cut-by-one", "the section ends one byte before the values of its last layer do", _last_raw, "colour.1", 31),
     ]
     for name, title, base, layer, more in cuts:
         add(f"malformed-grids-{name}", title, cut.of(base, layer, more), flags="truncation lengths-trusted")
@@ -278,6 +279,19 @@ def _refused(book: Book) -> None:
         add(f"unsupported-grids-reserved-{name}", title, make, flags="reserved-unchecked")
 
 
+def _last_exponent(layer: str, exponent: int) -> Callable[[], Refused]:
+    """Returns a function that makes a file whose last row of a layer has an exponent."""
+
+    def made() -> Refused:
+        t = grids()
+        name, _, number = layer.rpartition(".")
+        grid = weights.to_grid(codec.parse(t.data).scene.networks[name][int(number)])
+        assert grid is not None
+        return last_difference(t, layer, exponent - grid.exponent - int(grid.difference[:-1].sum()))
+
+    return made
+
+
 def _exponents(book: Book) -> None:
     add = partial(book.add, features="packed-weights")
     rows = [
@@ -285,6 +299,8 @@ def _exponents(book: Book) -> None:
         ("first-difference", "a first row whose exponent is not the model's", first_difference.of(grids, "sarm.1", 1)),
         ("outside-above", "an exponent above the largest", last_difference.of(grids, "opacity.1", 1000)),
         ("outside-below", "an exponent below the least", last_difference.of(grids, "opacity.0", -1000)),
+        ("of-row-150", "a row with the exponent 150", _last_exponent("hyper.1", WEIGHT_EXPONENT_MAX + 1)),
+        ("of-row-minus-105", "a row with the exponent -105", _last_exponent("opacity.0", WEIGHT_EXPONENT_MIN - 1)),
         ("far-outside", "exponents of eight digits", last_difference.of(grids, "hyper.1", (1 << 24) - 1)),
         ("zero-row-differs", "a row of zeros with an exponent of its own", last_row_of_zeros.of(grids, "hyper.1", 3)),
         ("zero-layer-exponent", "a layer of zeros with an exponent", layer_of_zeros.of(grids, "sarm.1", 7)),

@@ -116,6 +116,9 @@ def add(book: Book) -> None:
         )
     title, make = "the last bias of a section of weights is infinite", not_finite.of(plain, "colour.1", 5, None, MINUS)
     book.add("invalid-weights-infinite-end", title, make, features="raw-weights", flags="float-limits")
+    title = "the first weight of a rendering network is infinite"
+    make = not_finite.of(plain, "opacity.0", 0, 0, NOT_FINITE["infinite"])
+    book.add("invalid-weights-infinite-rendering", title, make, features="raw-weights", flags="float-limits")
     title = "a raw layer with a number that is none"
     make = not_finite.of(grids, "hyper.0", 0, 0, NOT_FINITE["not-a-number"])
     book.add("invalid-grids-raw-not-a-number", title, make, features="packed-weights", flags="float-limits")

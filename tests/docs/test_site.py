@@ -136,6 +136,19 @@ def test_vectors_of_a_requirement(site: Path) -> None:
 
 
 @pytest.mark.slow
+def test_blocks_show_the_vectors_of_their_lines(site: Path) -> None:
+    """On both kinds of pages. The search still finds the names in blocks."""
+    pages = {path.stem: path.read_text(encoding="utf-8") for path in (site / "spec").glob("*.html")}
+    numbers = {name: len(re.findall(r'data-count="\w+"', page)) for name, page in pages.items()}
+    assert numbers["07-decoding-process"] > 100
+    assert 2 * numbers["whole"] == sum(numbers.values())
+    for page in (pages["07-decoding-process"], pages["whole"]):
+        assert ".reach::before" in page.partition("</head>")[0]
+        assert '<details class="reached"><summary>' in page
+    assert re.search(r'[{,]"?word_at"?:', (site / "searchindex.js").read_text(encoding="utf-8"))
+
+
+@pytest.mark.slow
 def test_the_search_works_offline(site: Path) -> None:
     """It finds requirements and errors. No page needs anything from elsewhere."""
     index = json.loads((site / "searchindex.js").read_text(encoding="utf-8").removeprefix("Search.setIndex(")[:-1])

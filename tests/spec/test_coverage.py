@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
+import json
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
 from conformance import spec_decoder
-from conformance.manifest import load
-from spec import coverage
+from conformance.manifest import Rejected, load
+from refcodec.inspect.elements import rows
+from spec import coverage, elements
 from spec.coverage import (
+    ANY_FILE,
+    AT,
+    BEYOND,
     FALSE,
     IMAGES,
     LINE,
@@ -35,7 +42,7 @@ def test_probes_change_nothing() -> None:
         found, error = spec_decoder.verdict(probes.names, data)
         own, wrong = spec_decoder.verdict(spec_decoder.names(), data)
         assert (found, error) == (own, wrong)
-    assert {site.kind for site in probes.sites} == {LINE, TRUE, FALSE}
+    assert {site.kind for site in probes.sites} == {LINE, TRUE, FALSE, AT, BEYOND}
     assert {site.function for site in probes.sites} >= IMAGES
     assert probes.extremes["accumulator of a row"][1] < 1 << 24
 
@@ -74,10 +81,86 @@ def test_a_file_reaches_what_it_has() -> None:
     assert len(reached(DATA[:9])[0]) < len(own) / 4
 
 
+def test_a_comparison_at_its_bound() -> None:
+    """A comparison shows whether its last number held, and whether the first one beyond failed."""
+    own = probed()
+    check, wanted = own.names["CHECK_SUBSTREAM"], ("CHECK_SUBSTREAM", "length >= 8 + 4 * lanes", AT)
+    at = next(n for n, site in enumerate(own.sites) if (site.function, site.text, site.kind) == wanted)
+    assert own.sites[at + 1].kind == BEYOND
+    for length, seen in ((13, [0, 0]), (12, [1, 0]), (10, [0, 0]), (11, [0, 1])):
+        own.seen[:] = bytes(len(own.seen))
+        with contextlib.suppress(own.names["Refused"]):
+            check([0] * 8 + [0, 0, 1, 0, 0], 0, length, 1)
+        assert list(own.seen[at : at + 2]) == seen
+
+
+def test_the_record_of_lines_is_current() -> None:
+    """`python -m spec --coverage --write` makes it. Each line of a statement has its vectors, or a reason."""
+    record = json.loads(coverage.RECORD.read_text(encoding="utf-8"))
+    assert {name: record[name] for name in ("blocks", "manifest")} == coverage.versions()
+    sites = probed().sites
+    assert set(record["lines"]) == {str(site.line) for site in sites if site.kind == LINE}
+    known = range(len(SUITE.vectors))
+    for site in sites:
+        entry = record["lines"][str(site.line)] if site.kind == LINE else [1]
+        if isinstance(entry, str):
+            assert entry == site.argued()
+        else:
+            assert entry[0] >= len(entry[1:]) > 0 or entry[0] == len(known) or site.kind != LINE
+            assert set(known).issuperset(entry[1:])
+    found = [["valid-worked-example", ANY_FILE] if site.function == "U" else [] for site in sites]
+    lines = json.loads(coverage.record(sites, found, SUITE))["lines"]
+    own = next(site.line for site in sites if site.function == "U")
+    assert lines[str(own)] == [len(known), SUITE.vectors.index(EXAMPLE)]
+    assert "images: tests/render" in lines.values()
+
+
+def _with_value(path: str, change: int) -> bytes:
+    """The example with another number, and without right checksums."""
+    row = next(row for row in rows(DATA) if row.path == path)
+    return DATA[: row.start] + (row.value + change).to_bytes(row.end - row.start, "little") + DATA[row.end :]
+
+
+def test_extremes_of_elements(tmp_path: Path) -> None:
+    """An extreme is proved by the end of the type, or by a refused file with the next value, and by nothing else."""
+    path, name = "header.render_info.up_axis", "RenderInfo.up_axis"
+    row = next(row for row in rows(DATA) if row.path == path)
+    manifest = replace(SUITE, vectors=(EXAMPLE,))
+    own = elements.of_vectors(manifest)[name]
+    assert (own.least, own.greatest) == (row.value, row.value)
+    assert own.ends()[1] is None
+    for change, offset, proof in ((1, row.start, "refused"), (2, row.start, None), (1, row.start + 1, None)):
+        (tmp_path / "refused.c3gs").write_bytes(_with_value(path, change))
+        (tmp_path / "example.c3gs").write_bytes(DATA)
+        vectors = (
+            replace(EXAMPLE, input=replace(EXAMPLE.input, path="example.c3gs")),
+            replace(
+                EXAMPLE,
+                id="refused",
+                input=replace(EXAMPLE.input, path="refused.c3gs"),
+                expectation=Rejected(214, "header.render_info", offset, "6.5"),
+            ),
+        )
+        found = elements.of_vectors(replace(manifest, vectors=vectors, folder=tmp_path))
+        assert found[name].ends()[1] == proof
+    lines, holes = elements.report(SPEC.read_text(encoding="utf-8"), manifest)
+    assert holes > 0
+    assert any(line.startswith("  Frame.low: no vector has it") for line in lines) == (
+        not any(row.path == "frame.low[0]" for row in rows(DATA))
+    )
+
+
+def test_no_element_is_without_its_extremes() -> None:
+    lines, holes = elements.report(SPEC.read_text(encoding="utf-8"), SUITE)
+    assert holes == 0, [line for line in lines if "open" in line or "no vector" in line]
+    known = {line.strip().partition(":")[0] for line in lines}
+    assert {name for name in elements.ARGUED if "." in name} <= known
+
+
 def test_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     small = replace(SUITE, vectors=(EXAMPLE,))
     found, _ = of_vectors(small, 1)
-    assert {name for names in found for name in names} == {"any file", EXAMPLE.id}
+    assert {name for names in found for name in names} == {ANY_FILE, EXAMPLE.id}
     monkeypatch.setattr(coverage, "load", lambda: small)
     assert coverage.main(1) == 1
     assert "REQUIRE" in capsys.readouterr().out
