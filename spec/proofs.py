@@ -128,13 +128,11 @@ class Num:
         return number(self.term % other, 0, other - 1)
 
     def __and__(self, mask: int) -> Any:
-        assert mask & (mask + 1) == 0, mask
-        return self % (mask + 1)
+        return self % (mask + 1) if mask & (mask + 1) == 0 else fresh(0, mask, "masked")
 
     def __or__(self, other: Any) -> Any:
         for a, b in ((self, other), (other, self)):
-            low, high = ends(b)
-            if low >= 0 and high < 1 << min(twos(a), 99):
+            if Path.now.holds(b >= 0) and Path.now.holds(b < 1 << min(twos(a), 99)):
                 return a + b
         raise Failed(f"{self.term} | {raw(other)}: both may have the same bit")
 
@@ -1071,17 +1069,15 @@ def _value(proof: Proof, b: dict[str, Any]) -> None:
 @proves("SPLAT, ROUND_F32: 9.4")
 def _splat(proof: Proof, b: dict[str, Any]) -> None:
     """With one offset. One call of ROUND_F32 is followed, any."""
-    path, rounded, which = Path.now, b["ROUND_F32"], fresh(0, 2, "call")
-    calls = {"d + e": 0, "-SCALING_BITS": 1, "-OUTPUT_BITS": 2}
-    bound, exponents = b["SCALING_BOUND"], limits_of("EXPONENTIAL", proof)["n"]
+    path, rounded = Path.now, b["ROUND_F32"]
     sign = path.take(lambda: [None, 0, 1])
     offset = 0 if sign is None else fresh(*limits_of("VALUE", proof)["value"]) + (sign << 31)
-    followed = path.take(lambda: list(calls.values()))
-    del which
+    exponents = limits_of("EXPONENTIAL", proof)["n"]
+    kinds = {-b["SCALING_BITS"]: "length", -b["OUTPUT_BITS"]: "output"}
+    followed = path.take(lambda: ["product", *kinds.values()])
 
     def round_f32(n: Any, e: Any) -> Any:
-        kind = {-b["SCALING_BITS"]: 1, -b["OUTPUT_BITS"]: 2}.get(e if isinstance(e, int) else None, 0)
-        if kind == followed:
+        if (kinds.get(e, "product") if isinstance(e, int) else "product") == followed:
             b["BIT_LENGTH"] = bit_length
             finite(rounded(n, e))
             raise Dead
@@ -1096,7 +1092,6 @@ def _splat(proof: Proof, b: dict[str, Any]) -> None:
     }
     networks = dict(zip(b["RENDERING"], (1, 7, 3), strict=True))
     b["SPLAT"](networks, [0] * 3, [0], [0] * 6, [offset] * 3, [1])
-    del bound
 
 
 @proves("ROUND_F32: weights of a packed layer, 7.13")
@@ -1239,7 +1234,8 @@ def _shifts(_: Proof, b: dict[str, Any]) -> None:
     b["BYTES"](fresh(0, (1 << 8 * size) - 1, "value"), size)
     stream = {"word_at": 0, "words": [], "state": [], "bad_escape": False, "bad_range": False}
     raw_at = fresh(1, b["SECTION_LENGTH_MAX"], "raw_at")
-    b["END"](stream | {"raw": Many((raw_at + 7) // 8, lambda: fresh(0, 255, "byte")), "raw_at": raw_at, "symbols": []})
+    b["END"](stream | {"raw": Many((raw_at + 7) // 8, lambda: fresh(0, 255, "byte")), "raw_at": raw_at, "symbols": [],
+                     "symbol_crc": 0})
 
 
 @cache
