@@ -240,7 +240,7 @@ def times(a: Num, b: Num) -> Any:
         (c, d), (e, f) = [[z3.simplify(z3.substitute(x.term, (k, z3.IntVal(v)))).as_long() for v in (0, 1)] for x in (a, b)]
         corners = [x * y for x in ends(a) for y in ends(b)]
         return Num(c * e + (c * (f - e) + (d - c) * e) * k + (d - c) * (f - e) * square, min(corners), max(corners))
-    if a.factors + b.factors > 2:
+    if path.tight and a.factors + b.factors > 2:
         if a.high - a.low < b.high - b.low:
             a, b = b, a
         return a * path.value(b)
@@ -1104,31 +1104,27 @@ def _weights(_: Proof, b: dict[str, Any]) -> None:
 # ---- 11 and Annex H
 
 
-def header(b: dict[str, Any], counts: dict[str, int]) -> dict[str, list[Any]]:
-    """Returns the fields of any header of Main that CHECK_HEADER accepts. counts: items of its lists.
-
-    The level is the last one: the limits of the others are lower.
-    """
+def highest(b: dict[str, Any]) -> dict[str, int]:
+    """Returns the last level of Main. The limits of the others are lower."""
     *lower, top = [level for level in b["LEVELS"] if level["profile"] == 1]
-    for name in top:
-        if any(level[name] > top[name] for level in lower):
-            raise Failed(f"the last level does not have the highest {name}")
+    if any(level[name] > top[name] for level in lower for name in top):
+        raise Failed("a lower level has a higher limit")
+    return top
+
+
+def header(b: dict[str, Any], counts: dict[str, int]) -> dict[str, list[Any]]:
+    """Returns the fields of any header within the bounds of Main. counts: items of its lists."""
     v: dict[str, list[Any]] = {}
     for name, size, count, signed in b["FIRST_FIELDS"]:
         low, high = (-1 << 8 * size - 1, (1 << 8 * size - 1) - 1) if signed else (0, (1 << 8 * size) - 1)
         v[name] = [fresh(low, high, name) for _ in range(count)]
-    v |= {"profile": [1], "level": [top["level"]]}
     for name, size, counter in b["LISTS"]:
         v[counter] = [counts[counter]]
         v[name] = [fresh(0, (1 << 8 * size) - 1, name) for _ in range(counts[counter])]
-    # As its first loop requires, without a division at each field.
     for name, low, high in b["BOUNDS"][1][:-1]:
         for x in v[name]:
             Path.now.must(x <= high)
             Path.now.must(x >= (0 if name in ("plane_size", "sarm_layers") else low))
-    b |= {"LEVELS": [top], "SIGNIFICAND": significand}
-    places: dict[str, int] = defaultdict(int)
-    b["CHECK_HEADER"]({"value": v, "place": places, "size": places})
     return v
 
 
@@ -1137,28 +1133,34 @@ COUNTERS = ("slice_count", "hyper_layers", "sarm_layers", "carm_layers")
 
 @proves("CHECK_HEADER: limits of the fields")
 def _header(proof: Proof, b: dict[str, Any]) -> None:
-    b |= {"WORK": lambda _: 0, "SHAPES": None}
-    for name, items in header(b, dict.fromkeys(COUNTERS, 0) | {"slice_count": 1}).items():
+    path, top = Path.now, highest(b)
+    v = header(b, dict.fromkeys(COUNTERS, 0) | {"slice_count": max(x[2] for x in b["BOUNDS"][1] if x[0] == "slice_count")})
+    v |= {"profile": [1], "level": [top["level"]]}
+    b |= {"LEVELS": [top], "SIGNIFICAND": significand, "WORK": lambda _: 0}
+    places: dict[str, int] = defaultdict(int)
+    b["CHECK_HEADER"]({"value": v, "place": places, "size": places})
+    path.oblige(sum(v["slice_width"]) <= b["FEATURES_MAX"], "more features than FEATURES_MAX")
+    if v["render_model"][0] == b["STATIC"]:
+        path.oblige(v["view_inputs"][0] == 0, "a static scene has view_inputs")
+    for name, items in v.items():
         for x in items:
             proof.limit(name, x)
 
 
 @proves("WORK, SHAPES: 11.2, with any numbers of slices and layers")
 def _work(proof: Proof, b: dict[str, Any]) -> None:
-    path, bounds, own = Path.now, {name: (low, high) for name, low, high in b["BOUNDS"][1]}, b["WORK"]
+    path, bounds = Path.now, {name: (low, high) for name, low, high in b["BOUNDS"][1]}
     counts = {name: path.take(lambda n=name: [*range(bounds[n][1], bounds[n][0] - 1, -1)]) for name in COUNTERS}
-
-    def work(v: dict[str, Any]) -> Any:
-        own(v)
-        for name, layers in b["SHAPES"](v):
-            for rows, inputs in layers:
-                path.oblige(rows <= ROWS, "more rows than ROWS")
-                if name not in b["RENDERING"] or v["render_model"][0] == b["STATIC"]:
-                    path.oblige(inputs <= INPUTS, "more inputs than INPUTS")
-        raise Dead
-
-    b["WORK"] = work
-    header(b, counts)
+    v = header(b, counts)
+    path.must(v["anchor_count"][0] <= highest(b)["anchor_count"])
+    # As the proof of CHECK_HEADER shows.
+    path.must(sum(v["slice_width"]) <= b["FEATURES_MAX"])
+    b["WORK"](v)
+    for name, layers in b["SHAPES"](v):
+        for rows, inputs in layers:
+            path.oblige(rows <= ROWS, "more rows than ROWS")
+            if name not in b["RENDERING"] or v["view_inputs"][0] == 0:
+                path.oblige(inputs <= INPUTS, "more inputs than INPUTS")
 
 
 @proves("CHECK_SUBSTREAM: 8.1")
