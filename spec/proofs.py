@@ -14,10 +14,10 @@ import math
 import re
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache
-from itertools import product
 from typing import Any
 
 import z3
@@ -26,6 +26,23 @@ from conformance.spec_decoder import blocks
 
 from .coverage import IMAGES, QUANTITIES
 from .decoder import SPEC, TAIL, module
+from .symbolic import (
+    WIDTH,
+    DeadError,
+    Memory,
+    Num,
+    Path,
+    Row,
+    Truth,
+    UnprovedError,
+    ends,
+    extreme,
+    fresh,
+    magnitude,
+    narrow,
+    quotient,
+    raw,
+)
 
 # Where else the quantities of 7.11 are computed.
 SITES = QUANTITIES | {
@@ -39,16 +56,12 @@ SITES = QUANTITIES | {
 ROUNDED = ("RSHIFT_ROUND", "a + (1 << s >> 1)")
 SCALED = "ROUND_SCALED(x, e) of a weight or bias x, if x * 2^e is below ACCUMULATOR_BOUND in magnitude"
 MORTON = "number of a cell along the Morton curve"
-# The widest type of 7.11, for shifts of other integers.
-WIDTH = 64
 # Functions whose shifts have no type, with the reason.
 UNTYPED = {
     "I": "reads a field of at most 8 bytes; a decoder reads it as its type",
     "ADD_F32": "7.11: wider than any type; a decoder uses the binary32 addition",
     "ROUND_SCALED": "7.11: by up to 149 places to the right, which gives 0; left shifts are beyond the limits",
 }
-# Of a query, in units of z3, so that the result does not depend on the machine.
-EFFORT = 20_000_000
 
 
 # Where a proof by induction starts elsewhere than a block.
@@ -56,385 +69,6 @@ STARTS = {
     "    r = 0\n    for bit in": "    r = _start\n    for bit in",
     "    nodes, whole = [(0, 0, 0)], True": "    nodes, whole = _start or [(0, 0, 0)], True",
 }
-
-
-class Dead(Exception):
-    """No input takes this path, or the file is refused on it."""
-
-
-class Failed(Exception):
-    """A proof fails."""
-
-
-@dataclass
-class Row:
-    """A row of 7.11. bound: of the magnitude."""
-
-    name: str
-    bound: int
-    below: int
-    signed: bool
-    bits: int
-
-
-class Num:
-    """An integer: a term of z3, within an interval. zeros: so many lowest bits are 0."""
-
-    def __init__(self, term: Any, low: int, high: int, zeros: int = 0) -> None:
-        self.term, self.low, self.high, self.zeros = term, low, high, zeros
-        self.row: Row | None = None
-        self.magnitude: Any = None
-        self.factors, self.tight = 1, False
-
-    def __add__(self, other: Any) -> Any:
-        if isinstance(other, list):
-            return NotImplemented
-        low, high = ends(other)
-        return number(self.term + raw(other), self.low + low, self.high + high, min(self.zeros, twos(other)))
-
-    def __sub__(self, other: Any) -> Any:
-        low, high = ends(other)
-        return number(self.term - raw(other), self.low - high, self.high - low, min(self.zeros, twos(other)))
-
-    def __rsub__(self, other: Any) -> Any:
-        return -self + other
-
-    def __neg__(self) -> Any:
-        return number(-self.term, -self.high, -self.low, self.zeros)
-
-    def __mul__(self, other: Any) -> Any:
-        if isinstance(other, Num):
-            return times(self, other)
-        corners = self.low * other, self.high * other
-        return number(self.term * other, min(corners), max(corners), self.zeros + twos(other)) if other else 0
-
-    __radd__, __rmul__ = __add__, __mul__
-
-    def __lshift__(self, amount: int) -> Any:
-        return self * (1 << amount)
-
-    def __rshift__(self, amount: int) -> Any:
-        return self // (1 << amount)
-
-    def __floordiv__(self, other: Any) -> Any:
-        return quotient(self, other)
-
-    def __mod__(self, other: Any) -> Any:
-        if isinstance(other, Num):
-            return self - self // other * other
-        first = self.low // other
-        if first == self.high // other:
-            return self - first * other
-        return number(self.term % other, 0, other - 1)
-
-    def __and__(self, mask: int) -> Any:
-        return self % (mask + 1) if mask & (mask + 1) == 0 else fresh(0, mask, "masked")
-
-    def __or__(self, other: Any) -> Any:
-        for a, b in ((self, other), (other, self)):
-            if Path.now.holds(b >= 0) and Path.now.holds(b < 1 << min(twos(a), 99)):
-                return a + b
-        raise Failed(f"{self.term} | {raw(other)}: both may have the same bit")
-
-    __ror__ = __or__
-
-    def __lt__(self, other: Any) -> Any:
-        return below(self, other, 1)
-
-    def __le__(self, other: Any) -> Any:
-        return below(self, other, 0)
-
-    def __gt__(self, other: Any) -> Any:
-        return below(other, self, 1)
-
-    def __ge__(self, other: Any) -> Any:
-        return below(other, self, 0)
-
-    def __eq__(self, other: Any) -> Any:
-        if other is None:
-            return False
-        low, high = ends(other)
-        if self.high < low or high < self.low:
-            return False
-        return Truth(self.term == raw(other), ((self, low, high),), ())
-
-    def __ne__(self, other: Any) -> Any:
-        same = self == other
-        return ~same if isinstance(same, Truth) else not same
-
-    __hash__ = None  # type: ignore[assignment]
-
-    def __bool__(self) -> bool:
-        if self.low <= 0 <= self.high:
-            off = ((self, self.low + (self.low == 0), self.high - (self.high == 0)),)
-            return bool(Truth(self.term != 0, off, ((self, 0, 0),)))
-        return True
-
-
-@dataclass(eq=False)
-class Truth:
-    """A condition. true, false: (integer, low, high) for integers whose intervals that outcome narrows."""
-
-    term: Any
-    true: tuple[tuple[Any, int, int], ...]
-    false: tuple[tuple[Any, int, int], ...]
-
-    def __invert__(self) -> Truth:
-        return Truth(z3.Not(self.term), self.false, self.true)
-
-    def __bool__(self) -> bool:
-        return Path.now.decide(self)
-
-    def __eq__(self, other: Any) -> Any:
-        return Truth(self.term == (other.term if isinstance(other, Truth) else bool(other)), (), ())
-
-
-def raw(x: Any) -> Any:
-    return x.term if isinstance(x, Num) else x
-
-
-def ends(x: Any) -> tuple[int, int]:
-    return (x.low, x.high) if isinstance(x, Num) else (x, x)
-
-
-def twos(x: Any) -> int:
-    return x.zeros if isinstance(x, Num) else (x & -x).bit_length() - 1 if x else 99
-
-
-def number(term: Any, low: int, high: int, zeros: int = 0) -> Any:
-    _, low, high = Path.now.known.get(term.get_id(), (term, low, high))
-    return low if low == high else Num(term, low, high, zeros)
-
-
-def fresh(low: int, high: int, name: str = "x") -> Any:
-    """Returns any integer from low to high."""
-    if low == high:
-        return low
-    found = Num(z3.FreshInt(name), low, high)
-    found.tight = name not in ("extreme", "shifted")
-    Path.now.assume(z3.And(found.term >= low, found.term <= high))
-    return found
-
-
-def below(a: Any, b: Any, strict: int) -> Any:
-    """a < b, or a <= b if strict is 0."""
-    (a0, a1), (b0, b1) = ends(a), ends(b)
-    if a1 <= b0 - strict:
-        return True
-    if a0 > b1 - strict:
-        return False
-    true = (a, a0, min(a1, b1 - strict)), (b, max(b0, a0 + strict), b1)
-    false = (a, max(a0, b0 + 1 - strict), a1), (b, b0, min(b1, a1 - 1 + strict))
-    return Truth(raw(a) < raw(b) if strict else raw(a) <= raw(b), true, false)
-
-
-PRODUCT = z3.Function("product", z3.IntSort(), z3.IntSort(), z3.IntSort())
-
-
-def times(a: Num, b: Num) -> Any:
-    """A product of two integers. z3 knows only that it depends on both, and linear bounds of it that always hold."""
-    path = Path.now
-    if path.powers is not None:
-        # Both are affine in one number, whose square is another.
-        k, square = path.powers
-        (c, d), (e, f) = [[z3.simplify(z3.substitute(x.term, (k, z3.IntVal(v)))).as_long() for v in (0, 1)] for x in (a, b)]
-        corners = [x * y for x in ends(a) for y in ends(b)]
-        return Num(c * e + (c * (f - e) + (d - c) * e) * k + (d - c) * (f - e) * square, min(corners), max(corners))
-    if path.tight and a.factors + b.factors > 2:
-        if a.high - a.low < b.high - b.low:
-            a, b = b, a
-        return a * path.value(b)
-    if path.tight:
-        path.tighten(a)
-        path.tighten(b)
-    corners = [x * y for x in ends(a) for y in ends(b)]
-    low, high = (min(corners), max(corners)) if a is not b else (0 if a.low <= 0 <= a.high else min(corners), max(corners))
-    p = z3.simplify(PRODUCT(a.term, b.term) if a.term.get_id() <= b.term.get_id() else PRODUCT(b.term, a.term))
-    path.assume(z3.And(p >= low, p <= high))
-    for x, y in ((a, b), (b, a)):
-        path.assume(z3.Or(x.term < 0, z3.And(p >= y.low * x.term, p <= y.high * x.term)))
-        path.assume(z3.Or(x.term > 0, z3.And(p <= y.low * x.term, p >= y.high * x.term)))
-        if x.magnitude is not None:
-            most = max(-y.low, y.high)
-            path.assume(z3.And(p <= most * raw(x.magnitude), p >= -most * raw(x.magnitude)))
-    for i, j in product(ends(a), ends(b)):
-        rest = p - i * b.term - j * a.term + i * j
-        path.assume(rest >= 0 if (i == a.low) == (j == b.low) else rest <= 0)
-    found = Num(p, low, high)
-    found.factors = 2
-    if a is b:
-        path.squares.append((a, found))
-    return found
-
-
-def quotient(a: Any, b: Any) -> Any:
-    """a // b for positive b. a // b < c holds exactly if a < c * b: powers of two c narrow the interval."""
-    path = Path.now
-    low_b, high_b = ends(b)
-    if low_b <= 0:
-        path.oblige(b > 0, "a divisor is not positive")
-        low_b = 1
-    corners = [x // y for x in ends(a) for y in (low_b, high_b)]
-    low, high = min(corners), max(corners)
-    if isinstance(b, int):
-        return number(raw(a) / b, low, high)
-    key = a.term.get_id(), b.term.get_id()
-    if key in path.quotients:
-        return path.quotients[key]
-    while high > 0 and path.holds(below(a, b * (1 << (high.bit_length() - 1)), 1)):
-        high = (1 << (high.bit_length() - 1)) - 1
-    while low < 0 and path.holds(below(b * -(1 << ((-low - 1).bit_length() - 1)) if low < -1 else 0, a, 0)):
-        low = -(1 << ((-low - 1).bit_length() - 1)) if low < -1 else 0
-    while low >= 0 and 1 << low.bit_length() <= high and path.holds(below(b * (1 << low.bit_length()), a, 0)):
-        low = 1 << low.bit_length()
-    q = fresh(low, high, "quotient")
-    if isinstance(q, Num):
-        back = q * b
-        path.assume(z3.And(raw(back) <= raw(a), raw(a) < raw(back) + raw(b)))
-    path.quotients[key] = q
-    return q
-
-
-def extreme(sign: int, *given: Any) -> Any:
-    """max of integers, or min if sign is -1."""
-    items = list(given[0]) if len(given) == 1 else list(given)
-    if not any(isinstance(x, Num) for x in items):
-        return (max if sign > 0 else min)(items)
-    spans = [ends(x) if sign > 0 else (-ends(x)[1], -ends(x)[0]) for x in items]
-    low, high = max(s[0] for s in spans), max(s[1] for s in spans)
-    left = [x for x, s in zip(items, spans, strict=True) if s[1] > low] or [
-        x for x, s in zip(items, spans, strict=True) if s[1] == low
-    ]
-    if all((ends(x)[0] if sign > 0 else -ends(x)[1]) < low for x in left):
-        left.append(sign * low)
-    if len(left) == 1:
-        return left[0]
-    found = fresh(*((low, high) if sign > 0 else (-high, -low)), "extreme")
-    for x in left:
-        Path.now.assume(raw(found) >= raw(x) if sign > 0 else raw(found) <= raw(x))
-    Path.now.assume(z3.Or([raw(found) == raw(x) for x in left]))
-    return found
-
-
-def magnitude(x: Any) -> Any:
-    """abs of an integer."""
-    low, high = ends(x)
-    if low >= 0 or high <= 0:
-        return x if low >= 0 else -x
-    if x.magnitude is None:
-        x.magnitude = extreme(1, x, -x)
-        x.magnitude.low = 0
-    return x.magnitude
-
-
-class Path:
-    """A path through a block. taken: the outcomes where it divides."""
-
-    now: Path
-
-    def __init__(self, proof: Proof, taken: list[Any]) -> None:
-        self.proof, self.taken, self.at = proof, taken, 0
-        self.others: list[list[Any]] = []
-        self.squares: list[tuple[Num, Num]] = []
-        self.tight, self.split, self.typed = False, WIDTH, True
-        self.powers: Any = None
-        self.solver = z3.Solver()
-        self.solver.set("rlimit", EFFORT)
-        # The terms whose values the path has chosen.
-        self.known: dict[int, tuple[Any, int, int]] = {}
-        self.shifted: dict[Any, Any] = {}
-        self.quotients: dict[Any, Any] = {}
-        self.asked: Any = ()
-        self.model: Any = None
-
-    def assume(self, term: Any) -> None:
-        self.solver.add(term)
-
-    def check(self, *terms: Any) -> Any:
-        self.proof.queries += 1
-        self.solver.push()
-        self.solver.add(*terms)
-        found = self.solver.check()
-        self.model = self.solver.model() if found == z3.sat else None
-        self.solver.pop()
-        return found
-
-    def holds(self, truth: Any) -> bool:
-        """Whether a condition holds for all inputs of the path."""
-        if isinstance(truth, bool):
-            return truth
-        # Paths that divide later ask the same first.
-        self.asked = self.at, self.asked[1] + 1 if self.asked and self.asked[0] == self.at else 0
-        key = *map(str, self.taken[: self.at]), self.asked[1]
-        if key not in self.proof.answers:
-            self.proof.answers[key] = self.check(z3.Not(truth.term)) == z3.unsat
-        return self.proof.answers[key]
-
-    def oblige(self, truth: Any, text: str) -> None:
-        if not self.holds(truth):
-            inputs = self.model or {}
-            example = ", ".join(sorted(f"{d}={inputs[d]}" for d in inputs if "!" in str(d)))[:300] if inputs else ""
-            raise Failed(f"{text}{example and ' with '}{example}")
-
-    def must(self, truth: Any) -> None:
-        """Assumes a condition: other inputs are refused."""
-        if isinstance(truth, Truth):
-            self.assume(truth.term)
-            for x, low, high in truth.true:
-                narrow(x, low, high)
-        elif not truth:
-            raise Dead
-
-    def take(self, choices: Callable[[], list[Any]]) -> Any:
-        """Returns the outcome at a division: one of choices(), which other paths take, too."""
-        if self.at == len(self.taken):
-            first, *rest = choices() or [None]
-            self.others += [[*self.taken, x] for x in rest]
-            self.taken.append(first)
-            if first is None:
-                raise Dead
-        self.at += 1
-        return self.taken[self.at - 1]
-
-    def decide(self, truth: Truth) -> bool:
-        both = {True: truth, False: ~truth}
-        outcome = self.take(lambda: [x for x, own in both.items() if self.check(own.term) != z3.unsat])
-        self.must(both[outcome])
-        return outcome
-
-    def value(self, x: Any) -> int:
-        """Divides the path by the values of an integer."""
-        if isinstance(x, int):
-            return x
-
-        def values() -> list[int]:
-            found: list[int] = []
-            while self.check(*[x.term != v for v in found]) == z3.sat:
-                found.append(self.model.eval(x.term, model_completion=True).as_long())
-            return found
-
-        outcome = self.take(values)
-        self.assume(x.term == outcome)
-        self.known[x.term.get_id()] = x.term, outcome, outcome
-        narrow(x, outcome, outcome)
-        return outcome
-
-    def tighten(self, x: Num) -> None:
-        """Narrows an interval to the least powers of two that hold."""
-        if x.tight:
-            return
-        x.tight = True
-        while x.low < 0 and self.holds(x >= -(half := -x.low // 2)):
-            x.low = -half
-        while x.high > 0 and self.holds(x <= (half := 1 << (x.high - 1).bit_length() - 1 if x.high > 1 else 0)):
-            x.high = half
-
-
-def narrow(x: Any, low: int, high: int) -> None:
-    if isinstance(x, Num):
-        x.low, x.high = max(x.low, low), min(x.high, high)
-        if x.low > x.high:
-            raise Dead
 
 
 class Marks(ast.NodeTransformer):
@@ -479,7 +113,9 @@ class Marks(ast.NodeTransformer):
     def marked(self, source: str) -> Any:
         tree = ast.parse(source)
         loads = (n for n in ast.walk(tree) if isinstance(getattr(n, "ctx", ast.Load()), ast.Load))
-        self.texts = {id(node): ast.unparse(node) for node in loads if isinstance(node, (ast.BinOp, ast.Call, ast.Name))}
+        self.texts = {
+            id(node): ast.unparse(node) for node in loads if isinstance(node, (ast.BinOp, ast.Call, ast.Name))
+        }
         return compile(ast.fix_missing_locations(self.visit(tree)), "SPEC.md", "exec")
 
 
@@ -488,6 +124,7 @@ class Specification:
     """What the proofs need of SPEC.md."""
 
     text: str
+    source: str
     code: Any
     shifts: list[tuple[str, str, int | None]]
     rows: dict[str, Row]
@@ -499,7 +136,7 @@ def specification(text: str) -> Specification:
     source = module(text).removesuffix(TAIL)
     for old, new in STARTS.items():
         if source.count(old) != 1:
-            raise Failed(f"the blocks have changed: {old}")
+            raise UnprovedError(f"the blocks have changed: {old}")
         source = source.replace(old, new)
     constants = {name: eval(value) for name, value in re.findall(r"^([A-Z][A-Z0-9_]+) = ([-+*() 0-9]+)$", source, re.M)}
     marks = Marks(constants)
@@ -510,32 +147,30 @@ def specification(text: str) -> Specification:
     ):
         value = eval(bound.replace("^", "**"), {"__builtins__": {}}, constants | {"a": 1 << 40})
         rows[name] = Row(name, value, 1 << int(power), sign == "i", int(bits))
-    return Specification(text, marks.marked(source), marks.shifts, rows)
+    return Specification(text, source, marks.marked(source), marks.shifts, rows)
 
 
 class Proof:
     """A proof: what runs on each path, and what was found."""
 
-    def __init__(self, name: str, body: Callable[[Proof, dict[str, Any]], None], text: str) -> None:
-        self.name, self.body, self.spec = name, body, specification(text)
-        self.paths = self.queries = 0
+    def __init__(self, name: str, text: str) -> None:
+        self.name, self.spec, self.memory = name, specification(text), Memory()
+        self.paths, self.seconds, self.fault = 0, 0.0, ""
         self.reached: set[str] = set()
         # The ends of integers that other proofs need, by name, and how often a sum has a term, by quantity.
         self.limits: dict[str, tuple[int, int]] = {}
         self.repeated: dict[str, int] = {}
-        self.answers: dict[Any, bool] = {}
         self.shifted: set[int] = set()
-        self.note = ""
 
     def quantity(self, name: str, x: Any, summand: Any = None) -> Any:
-        """Compares an integer with its row of 7.11. Without a name, with that of a summand without the rounding term."""
+        """Compares an integer with its row of 7.11: the named one, or that of a summand of a rounded number."""
         row = self.spec.rows[name] if name else getattr(summand, "row", None)
         if row is None:
             return x
         path = Path.now
-        x = x * self.repeated.get(name, 1)
-        path.oblige(x <= row.bound, f"{row.name}: above {row.bound}")
-        path.oblige(x >= (-row.bound if row.signed else 0), f"{row.name}: below its least value")
+        total = x * self.repeated[name] if name in self.repeated else x
+        path.oblige(total <= row.bound, f"{row.name}: above {row.bound}")
+        path.oblige(total >= (-row.bound if row.signed else 0), f"{row.name}: below its least value")
         capacity = row.bits - row.signed
         path.oblige(row.bound < row.below <= 1 << capacity, f"{row.name}: the type does not hold the bound")
         if row.name not in self.reached and path.check() == z3.sat:
@@ -568,12 +203,14 @@ class Proof:
             if key not in path.shifted:
                 path.shifted[key] = x = fresh(min(corners), max(corners), "shifted")
                 if not left:
-                    path.assume(z3.If(raw(a) < 0, z3.And(raw(a) <= raw(x), raw(x) < 0), z3.And(0 <= raw(x), raw(x) <= raw(a))))
+                    path.assume(
+                        z3.If(raw(a) < 0, z3.And(raw(a) <= raw(x), raw(x) < 0), z3.And(raw(x) >= 0, raw(x) <= raw(a)))
+                    )
             return path.shifted[key]
         return a * (1 << b) if left else (quotient(a, 1 << b) if isinstance(a, Num) else a >> b)
 
     def run(self) -> None:
-        """Runs all paths. Raises Failed if an integer can exceed its bound."""
+        """Runs all paths. Raises UnprovedError if an integer can exceed its bound."""
         space: dict[str, Any] = {"__name__": blocks.__name__, "__package__": blocks.__package__}
         space |= {"_quantity": lambda name, x, *_: x, "_shift": lambda _, a, b, left: a << b if left else a >> b}
         space["_start"] = 0
@@ -584,18 +221,16 @@ class Proof:
         left: list[list[Any]] = [[]]
         own = dict(space)
         while left:
-            Path.now = path = Path(self, left.pop())
+            Path.now = path = Path(self.memory, left.pop())
             self.paths += 1
             space.update(own)
-            try:
-                self.body(self, space)
-            except Dead:
-                pass
+            with suppress(DeadError):
+                BODIES[self.name](self, space)
             left += path.others
 
 
 def refuse(*_: Any) -> None:
-    raise Dead
+    raise DeadError
 
 
 def length(x: Any) -> Any:
@@ -686,12 +321,12 @@ def _bit_length(_: Proof, b: dict[str, Any]) -> None:
 @proves("ISQRT: r^2 <= a < (r + 1)^2, by induction over its bits")
 def _isqrt(proof: Proof, b: dict[str, Any]) -> None:
     """Before bit i, r is a multiple of 2^(i + 1) and r^2 <= a < (r + 2^(i + 1))^2."""
-    path, loop = Path.now, []
+    path, loop = Path.now, list[int]()
     k = fresh(0, 1 << WIDTH // 2, "k")
     path.powers = k.term, z3.FreshInt("square")
     a = fresh(0, (1 << WIDTH - 1) - 1, "a")
     if path.take(lambda: ["start", "step"]) == "start":
-        b["range"] = lambda *given: loop.extend(given) or []
+        b["range"] = lambda *given: loop.extend(given) or []  # type: ignore[func-returns-value]
         b["BIT_LENGTH"] = bit_length
         path.oblige(b["ISQRT"](a) == 0 and loop[1:] == [-1, -1], "the loop does not go from 0 over all bits")
         path.oblige(a < 1 << 2 * (loop[0] + 1), "the first bit is too low")
@@ -773,7 +408,7 @@ def _network(proof: Proof, b: dict[str, Any]) -> None:
     b["range"] = lambda *_: [exponent]
     found = b["DERIVE_ROW"]([0] * INPUTS, 0)
     if found is None:
-        raise Dead
+        raise DeadError
     w, bias, e = found
     inputs = [fresh(-b["ACTIVATION_MAX"], b["ACTIVATION_MAX"], "a") for _ in w]
     out = b["NETWORK"]([[found]], inputs)[0]
@@ -842,9 +477,8 @@ def _query(proof: Proof, b: dict[str, Any]) -> None:
     path.tight, path.split = True, 0
     size = next(most for name, _, most in b["BOUNDS"][1] if name == "plane_size")
     symbol = b["PLANE_SYMBOL_MAX"]
-    row = lambda: Many(0, lambda: fresh(-symbol, symbol, "symbol"))  # noqa: E731
-    plane = Many(1, lambda: Many(side, lambda: row()))
     side = fresh(2, 2 * size, "side")
+    plane = Many(1, lambda: Many(side, lambda: Many(side, lambda: fresh(-symbol, symbol, "symbol"))))
     u = [fresh(0, 1 << b["UNIT_BITS"], "u") for _ in range(2)]
     b["QUERY"](plane, u, fresh(0, b["PLANE_SHIFT_MAX"], "plane_shift"))
 
@@ -860,7 +494,6 @@ def _gamma(_: Proof, b: dict[str, Any]) -> None:
 @proves("DECODE_ATTRIBUTES: 7.9")
 def _attributes(proof: Proof, b: dict[str, Any]) -> None:
     """One anchor with slices of one channel: others have sums of the same kinds."""
-    output = lambda *_: Many(0, lambda: within(proof, "accumulator of a row"))  # noqa: E731
 
     def values(_: Any, __: Any, parameters: Any, limit: int) -> list[Any]:
         for mean, scale in parameters:
@@ -868,13 +501,11 @@ def _attributes(proof: Proof, b: dict[str, Any]) -> None:
             proof.quantity("mean, scale index", scale)
         return [fresh(-limit, limit, "symbol") for _ in parameters]
 
-    b |= {"NETWORK": output, "DECODE_VALUES": values, "GAUSS": None, "CLAMP": lambda x, *_: x}
+    outputs = lambda *_: Many(0, lambda: within(proof, "accumulator of a row"))  # noqa: E731
+    b |= {"NETWORK": outputs, "DECODE_VALUES": values, "GAUSS": None, "CLAMP": lambda x, *_: x}
     Path.now.split = 0
     shift = fresh(0, b["CARM_SHIFT_MAX"], "carm_shift")
-    networks = {"hyper": None, 1: None}
-    out = b["NETWORK"]
-    b["NETWORK"] = lambda *given: out(*given)
-    b["DECODE_ATTRIBUTES"](None, networks, [shift], [1, 1], [None], [[1]])
+    b["DECODE_ATTRIBUTES"](None, {"hyper": None, 1: None}, [shift], [1, 1], [None], [[1]])
 
 
 # ---- 8: the entropy coder
@@ -941,7 +572,7 @@ def _values(proof: Proof, b: dict[str, Any]) -> None:
 
 def symbol(b: dict[str, Any], x: Any, word: Any, frequencies: list[Any]) -> tuple[int, Any, int]:
     """Returns what DECODE_SYMBOL finds: the symbol, the next state, and how many words it took."""
-    stream = {"state": [x], "words": [word], "word_at": 0}
+    stream: dict[str, Any] = {"state": [x], "words": [word], "word_at": 0}
     found = b["DECODE_SYMBOL"](stream, 0, frequencies)
     return found, stream["state"][0], stream["word_at"]
 
@@ -971,7 +602,7 @@ def _rans(proof: Proof, b: dict[str, Any]) -> None:
         r"1\. If `([^`]+)` is at least f, put out the word x & (0x\w+), and shift x right by (\d+)\..*?"
         r"2\. Set x to `([^`]+)`\.", text)  # fmt: skip
     if steps is None:
-        raise Failed("Annex B.4 does not have the two steps of the encoder")
+        raise UnprovedError("Annex B.4 does not have the two steps of the encoder")
     condition, mask, amount, step = steps.groups()
     start, names = fresh(b["STATE_MIN"], (1 << 32) - 1, "state"), {"PRECISION": b["PRECISION"]}
     frequencies = model(b, 1 << b["PRECISION"])
@@ -1080,7 +711,7 @@ def _splat(proof: Proof, b: dict[str, Any]) -> None:
         if (kinds.get(e, "product") if isinstance(e, int) else "product") == followed:
             b["BIT_LENGTH"] = bit_length
             finite(rounded(n, e))
-            raise Dead
+            raise DeadError
         return fresh(0, (1 << 32) - 1, "bits")
 
     b |= {
@@ -1108,7 +739,7 @@ def highest(b: dict[str, Any]) -> dict[str, int]:
     """Returns the last level of Main. The limits of the others are lower."""
     *lower, top = [level for level in b["LEVELS"] if level["profile"] == 1]
     if any(level[name] > top[name] for level in lower for name in top):
-        raise Failed("a lower level has a higher limit")
+        raise UnprovedError("a lower level has a higher limit")
     return top
 
 
@@ -1134,7 +765,9 @@ COUNTERS = ("slice_count", "hyper_layers", "sarm_layers", "carm_layers")
 @proves("CHECK_HEADER: limits of the fields")
 def _header(proof: Proof, b: dict[str, Any]) -> None:
     path, top = Path.now, highest(b)
-    v = header(b, dict.fromkeys(COUNTERS, 0) | {"slice_count": max(x[2] for x in b["BOUNDS"][1] if x[0] == "slice_count")})
+    v = header(
+        b, dict.fromkeys(COUNTERS, 0) | {"slice_count": max(x[2] for x in b["BOUNDS"][1] if x[0] == "slice_count")}
+    )
     v |= {"profile": [1], "level": [top["level"]]}
     b |= {"LEVELS": [top], "SIGNIFICAND": significand, "WORK": lambda _: 0}
     places: dict[str, int] = defaultdict(int)
@@ -1147,20 +780,36 @@ def _header(proof: Proof, b: dict[str, Any]) -> None:
             proof.limit(name, x)
 
 
-@proves("WORK, SHAPES: 11.2, with any numbers of slices and layers")
-def _work(proof: Proof, b: dict[str, Any]) -> None:
-    path, bounds = Path.now, {name: (low, high) for name, low, high in b["BOUNDS"][1]}
-    counts = {name: path.take(lambda n=name: [*range(bounds[n][1], bounds[n][0] - 1, -1)]) for name in COUNTERS}
+def sizes(b: dict[str, Any], names: tuple[str, ...]) -> dict[str, list[Any]]:
+    """Returns the fields of a header, on a path for each number of items of the lists that these fields count."""
+    bounds = {name: (low, high) for name, low, high in b["BOUNDS"][1]}
+    counts = {name: bounds[name][1] for name in COUNTERS}
+    for name in names:
+        low, high = bounds[name]
+        choices = list(range(high, low - 1, -1))
+        counts[name] = Path.now.take(lambda choices=choices: choices)  # type: ignore[misc]
     v = header(b, counts)
-    path.must(v["anchor_count"][0] <= highest(b)["anchor_count"])
     # As the proof of CHECK_HEADER shows.
-    path.must(sum(v["slice_width"]) <= b["FEATURES_MAX"])
-    b["WORK"](v)
+    Path.now.must(sum(v["slice_width"]) <= b["FEATURES_MAX"])
+    return v
+
+
+@proves("SHAPES: no layer has more than ROWS rows or INPUTS inputs")
+def _shapes(_: Proof, b: dict[str, Any]) -> None:
+    """With the most layers: a network with fewer has the same first inputs and last rows."""
+    v = sizes(b, ("slice_count",))
     for name, layers in b["SHAPES"](v):
         for rows, inputs in layers:
-            path.oblige(rows <= ROWS, "more rows than ROWS")
+            Path.now.oblige(rows <= ROWS, "more rows than ROWS")
             if name not in b["RENDERING"] or v["view_inputs"][0] == 0:
-                path.oblige(inputs <= INPUTS, "more inputs than INPUTS")
+                Path.now.oblige(inputs <= INPUTS, "more inputs than INPUTS")
+
+
+@proves("WORK: 11.2")
+def _work(_: Proof, b: dict[str, Any]) -> None:
+    v = sizes(b, COUNTERS)
+    Path.now.must(v["anchor_count"][0] <= highest(b)["anchor_count"])
+    b["WORK"](v)
 
 
 @proves("CHECK_SUBSTREAM: 8.1")
@@ -1190,7 +839,7 @@ def _chunk(proof: Proof, b: dict[str, Any]) -> None:
     b["DECODE_ATTRIBUTES"] = lambda *_: (None, None)
     data = fields(b)
     entry = {"length": b["U"](data, -1, 4), "anchors": 1, "crc": 0, "low": [0] * 3, "high": [0] * 3, "kept": 1}
-    state = {"index": {"models": [0], "cell_shift": 0, "masks": []}, "frame": None, "planes": []}
+    state: dict[str, Any] = {"index": {"models": [0], "cell_shift": 0, "masks": []}, "frame": None, "planes": []}
     state["weights"] = {"integers": None, "carm_shift": [], "plane_shift": 0}
     v = lanes_of(proof) | {"offset_count": [1], "frequency_count": [0], "slice_width": [1]}
     b["DECODE_CHUNK"](data, 0, entry, v, state)
@@ -1236,40 +885,79 @@ def _shifts(_: Proof, b: dict[str, Any]) -> None:
     b["BYTES"](fresh(0, (1 << 8 * size) - 1, "value"), size)
     stream = {"word_at": 0, "words": [], "state": [], "bad_escape": False, "bad_range": False}
     raw_at = fresh(1, b["SECTION_LENGTH_MAX"], "raw_at")
-    b["END"](stream | {"raw": Many((raw_at + 7) // 8, lambda: fresh(0, 255, "byte")), "raw_at": raw_at, "symbols": [],
-                     "symbol_crc": 0})
+    b["END"](
+        stream
+        | {
+            "raw": Many((raw_at + 7) // 8, lambda: fresh(0, 255, "byte")),
+            "raw_at": raw_at,
+            "symbols": [],
+            "symbol_crc": 0,
+        }
+    )
 
 
-@cache
-def _limits(start: str, text: str) -> dict[str, tuple[int, int]]:
-    name = next(name for name in BODIES if name.startswith(start))
-    proof = Proof(name, BODIES[name], text)
-    proof.run()
-    return proof.limits
+LIMITS: dict[tuple[str, str], dict[str, tuple[int, int]]] = {}
 
 
 def limits_of(start: str, proof: Proof) -> dict[str, tuple[int, int]]:
-    """Returns the limits that another proof finds. start: of its name."""
-    now = Path.now
-    found = _limits(start, proof.spec.text)
-    Path.now = now
-    return found
+    """Returns the limits that another proof finds in the same blocks. start: of its name."""
+    key = start, proof.spec.source
+    if key not in LIMITS:
+        now, name = Path.now, next(name for name in BODIES if name.startswith(start))
+        other = Proof(name, proof.spec.text)
+        other.run()
+        Path.now, LIMITS[key] = now, other.limits
+    return LIMITS[key]
+
+
+def shifts(proofs: list[Proof]) -> tuple[list[str], str]:
+    """Returns the shifts whose amounts are not proved, and a summary."""
+    places = proofs[0].spec.shifts
+    followed = set().union(*(proof.shifted for proof in proofs))
+    known = {n for n, (_, _, amount) in enumerate(places) if amount is not None}
+    argued = {n for n, (function, *_) in enumerate(places) if function in UNTYPED} - known
+    wrong = {n for n in known if not 0 <= (places[n][2] or 0) < WIDTH} | set(
+        range(len(places))
+    ) - known - followed - argued
+    summary = (
+        f"{len(places)} shifts: {len(known)} by a constant, {len(followed - known)} followed, {len(argued)} argued"
+    )
+    return [": ".join(places[n][:2]) for n in sorted(wrong)], summary
+
+
+def prove(name: str, text: str) -> Proof:
+    """Returns the proof of that name, with its fault, if any. text: SPEC.md."""
+    began = time.perf_counter()
+    proof = Proof(name, text)
+    try:
+        proof.run()
+    except UnprovedError as failed:
+        proof.fault = str(failed)
+    proof.seconds = time.perf_counter() - began
+    return proof
 
 
 def main() -> int:
     """Proves everything. Prints a line for each proof, and returns 1 if one fails, else 0."""
-    text = SPEC.read_text(encoding="utf-8")
-    return 0 if all([prove(name, text) for name in BODIES]) else 1
-
-
-def prove(name: str, text: str) -> Proof:
-    began = time.process_time()
-    proof = Proof(name, BODIES[name], text)
-    fault = ""
-    try:
-        proof.run()
-    except Failed as failed:
-        fault = str(failed)
-    method = f"{proof.paths} paths, {proof.queries} queries"
-    print(f"{name:80} {method:28} {time.process_time() - began:6.1f} s  {'FAILED: ' + fault if fault else 'proved'}", sorted(proof.reached), flush=True)
-    return not fault
+    text, proofs = SPEC.read_text(encoding="utf-8"), []
+    for name in BODIES:
+        proof = prove(name, text)
+        proofs.append(proof)
+        queries, paths = proof.memory.queries, proof.paths
+        method = f"z3: {paths} paths, {queries} queries" if queries else f"intervals: {paths} paths"
+        print(
+            f"{name:84}  {method:30}  {proof.seconds:6.1f} s  {'failed: ' + proof.fault if proof.fault else 'proved'}",
+            flush=True,
+        )
+    missing = set(proofs[0].spec.rows).difference(*(proof.reached for proof in proofs))
+    open_shifts, summary = shifts(proofs)
+    print(f"7.11: {len(proofs[0].spec.rows)} rows, {len(missing)} of them without a proof")
+    print(summary)
+    print(
+        "\n".join(
+            [f"  no proof: {name}" for name in sorted(missing)]
+            + [f"  not proved: {name}" for name in open_shifts]
+            + [f"  argued: {function}: {reason}" for function, reason in UNTYPED.items()]
+        )
+    )
+    return 1 if missing or open_shifts or any(proof.fault for proof in proofs) else 0
