@@ -166,7 +166,7 @@ def twos(x: Any) -> int:
 
 
 def number(term: Any, low: int, high: int, zeros: int = 0) -> Any:
-    _, low, high = Path.now.known.get(term.get_id(), (term, low, high))
+    low, high = Path.now.known.get(term.get_id(), (low, high))
     return low if low == high else Num(term, low, high, zeros)
 
 
@@ -217,7 +217,8 @@ def times(a: Num, b: Num) -> Any:
     low, high = (
         (min(corners), max(corners)) if a is not b else (0 if a.low <= 0 <= a.high else min(corners), max(corners))
     )
-    p = z3.simplify(PRODUCT(a.term, b.term) if a.term.get_id() <= b.term.get_id() else PRODUCT(b.term, a.term))
+    p = PRODUCT(a.term, b.term)
+    path.assume(p == PRODUCT(b.term, a.term))
     path.assume(z3.And(p >= low, p <= high))
     for x, y in ((a, b), (b, a)):
         if x.low >= 0 and y.low >= 0:
@@ -248,7 +249,7 @@ def quotient(a: Any, b: Any) -> Any:
     low, high = min(corners), max(corners)
     if isinstance(b, int):
         return number(raw(a) / b, low, high)
-    key = a.term.get_id(), b.term.get_id()
+    key = path.key(a), path.key(b)
     if key in path.quotients:
         return path.quotients[key]
     while high > 0 and path.holds(below(a, b * (1 << (high.bit_length() - 1)), 1)):
@@ -319,11 +320,19 @@ class Path:
         self.solver = z3.Solver()
         self.solver.set("rlimit", EFFORT)
         # The terms whose values the path has chosen.
-        self.known: dict[int, tuple[Any, int, int]] = {}
+        self.known: dict[int, tuple[int, int]] = {}
         self.shifted: dict[Any, Any] = {}
+        self.keyed: list[Any] = []
         self.quotients: dict[Any, Any] = {}
         self.asked: Any = ()
         self.model: Any = None
+
+    def key(self, x: Any) -> Any:
+        """Returns what tells integers of the path apart. A term is kept, because z3 numbers others like lost ones."""
+        if isinstance(x, int):
+            return str(x)
+        self.keyed.append(x.term)
+        return x.term.get_id()
 
     def assume(self, term: Any) -> None:
         self.solver.add(term)
@@ -393,7 +402,7 @@ class Path:
 
         outcome = self.take(values)
         self.assume(x.term == outcome)
-        self.known[x.term.get_id()] = x.term, outcome, outcome
+        self.known[self.key(x)] = outcome, outcome
         narrow(x, outcome, outcome)
         return outcome
 
