@@ -1,0 +1,149 @@
+"""The proofs of SPEC.md's integer arithmetic. Each fails if what it proves is changed in SPEC.md."""
+
+from __future__ import annotations
+
+import pytest
+
+from spec import proofs
+from spec.decoder import SPEC
+from spec.proofs import BODIES, prove, specification
+
+TEXT = SPEC.read_text(encoding="utf-8")
+ROWS = specification(TEXT).rows
+# They take more than some seconds of a processor.
+SLOW = {"QUERY: 7.5.4", "CELL_NUMBER: 7.12", "WORK: 11.2"}
+# The row, the start of its proof's name, and the number by which the bound is divided: most rows have less than twice
+# the largest value.
+PLANTED = {
+    proofs.SCALED: ("ROUND_SCALED", 2),
+    "sum of the second rule, if the first one holds": ("DERIVE_ROW", 2),
+    "accumulator of a row": ("DERIVE_ROW", 2),
+    "P": ("POSITION_INTEGER", 2),
+    "frame sum": ("PARSE_FRAME, FRAME", 2),
+    "v": ("PARSE_FRAME, FRAME", 2),
+    "q": ("CONTRACT", 2),
+    "n": ("CONTRACT", 2),
+    "2 n - U": ("CONTRACT", 2),
+    "(2 n - U) U": ("CONTRACT", 2),
+    "v f": ("CONTRACT", 2),
+    "w": ("CONTRACT", 2),
+    "(w - low) U": ("PARSE_FRAME, RESCALE", 2),
+    "u (s - 1)": ("QUERY", 2),
+    "sum of four weighted symbols": ("QUERY", 2),
+    "mean, scale index": ("DECODE_ATTRIBUTES", 2),
+    "mean - 8 (2^k - 1), rounded": ("SELECT", 2),
+    "n of an escape": ("READ_ESCAPE", 2),
+    "symbol before its range is checked": ("SELECT", 2),
+    "frequency * (x >> PRECISION) + slot - low": ("DECODE_SYMBOL", 2),
+    "raw bits of a substream": ("READ_BITS: raw", 2),
+    "origin + S P": ("WORLD", 2),
+    "step_table * m": ("STEP_VALUE", 2),
+    "symbol * m": ("VALUE", 2),
+    "s LOG2_E": ("EXPONENTIAL", 2),
+    # Before the last term is added, m is below 2^30.
+    "m fraction": ("EXPONENTIAL", 4),
+    "significand of an offset times m": ("SPLAT", 2),
+    "logarithm of a length in 2^-SCALING_BITS": ("SPLAT", 2),
+    "grid exponent of any row, as a sum before the check": ("PACKED_LAYER", 2),
+    "coordinate of a cell as an integer": ("CELL_NUMBER", 2),
+    proofs.MORTON: ("DECODE_CELLS", 2),
+    "bytes that the head of a substream implies": ("CHECK_SUBSTREAM", 2),
+    "bytes that a PlaneTable or the head of a chunk implies": ("PARSE_PLANES", 2),
+    "sum of the entries' lengths": ("PARSE_INDEX", 2),
+    # A header of 65532 bytes has 3272 entries of the 65535 that section_count could count.
+    "sum of the sections' lengths": ("PARSE_HEADER", 32),
+    "work": ("WORK", 2),
+}
+# Proofs of other properties, each with a change of SPEC.md that makes it wrong.
+CHANGES = {
+    "a field of signed bytes": ("U, I", "value - (1 << 8 * size) if", "value - (1 << 7 * size) if"),
+    "a bit too few": ("BIT_LENGTH", "    while a >> n:\n", "    while a >> n + 1:\n"),
+    "a root without its lowest bit": ("ISQRT", "BIT_LENGTH(a) // 2, -1, -1)", "BIT_LENGTH(a) // 2, 0, -1)"),
+    "a root that may be too large": ("ISQRT", "(r | 1 << bit) <= a:", "(r | 1 << bit) <= a + 1:"),
+    "a significand of 25 bits": ("SIGNIFICAND", "(fraction | 1 << 23, exponent", "(fraction | 1 << 24, exponent"),
+    "a row rule without the bias": ("DERIVE_ROW", "ACTIVATION_MAX + abs(b) + ((1", "ACTIVATION_MAX + ((1"),
+    "sums beyond binary32": ("DERIVE_ROW", "| ACCUMULATOR_BOUND | 2^24 |", "| ACCUMULATOR_BOUND | 2^25 |"),
+    "binary32 of 23 bits": ("binary32", "s = max(BIT_LENGTH(m) - 24, -149", "s = max(BIT_LENGTH(m) - 23, -149"),
+    "a coordinate without its clamp": (
+        "PARSE_FRAME, FRAME",
+        "| FRAME_CLAMP | 2^30 - 1 |",
+        "| FRAME_CLAMP | 2^31 - 1 |",
+    ),
+    "a frame shift of 64": ("PARSE_FRAME, FRAME", "| FRAME_SHIFT_MAX | 60 |", "| FRAME_SHIFT_MAX | 64 |"),
+    "sines above the inputs": ("GAMMA", "| ACTIVATION_MAX | 1023 |", "| ACTIVATION_MAX | 1022 |"),
+    "a negative shift of a sample": ("QUERY", "| PLANE_SHIFT_MAX | 10 |", "| PLANE_SHIFT_MAX | 17 |"),
+    "a shift by the width of a mean": ("SELECT", "| RAW_MAX | 16 |", "| RAW_MAX | 32 |"),
+    "a bit that is read twice": ("READ_BITS: k bits", 'stream["raw_at"] = at + 1', 'stream["raw_at"] = at + i'),
+    "a state of 33 bits": ("DECODE_SYMBOL", "x = (x << 16) | word", "x = (x << 17) | word"),
+    "a lower bound of 2^17 for states": ("rANS", "| STATE_MIN | 2^16 |", "| STATE_MIN | 2^17 |"),
+    "an encoder that renormalises late": ("rANS", "is at least f, put out", "is at least f + 1, put out"),
+    "an encoder with another quotient": ("rANS", "`((x // f) << PRECISION)", "`((x // f) << PRECISION + 1)"),
+    "a decoder that keeps the slot": ("rANS", "(x >> PRECISION) + slot - low\n", "(x >> PRECISION) + slot\n"),
+    "cells of 17 bits": ("DECODE_CELLS", "(2 * x + (k & 1),", "(2 * x + (k & 3),"),
+    "an exponential that overflows": ("EXPONENTIAL", "EXP2 = [1073741824, ", "EXP2 = [1073741834, "),
+    "world positions beyond f32": ("WORLD", "| SCALE_EXPONENT_MAX | 60 |", "| SCALE_EXPONENT_MAX | 100 |"),
+    "subnormal values": ("VALUE", "ROUND_F32(1, -60) <= step", "ROUND_F32(1, -126) <= step"),
+    "weights beyond f32": ("ROUND_F32", "| WEIGHT_EXPONENT_MIN | -104 |", "| WEIGHT_EXPONENT_MIN | -105 |"),
+    "more features": (
+        "CHECK_HEADER",
+        'v["slice_width"]) <= FEATURES_MAX, "h',
+        'v["slice_width"]) <= FEATURES_MAX + 1, "h',
+    ),
+    "more rows": ("SHAPES", "| colour_outputs | 1 to 48 | 1 to 48 |", "| colour_outputs | 1 to 48 | 1 to 49 |"),
+    "a chunk with a longer head": ("DECODE_CHUNK", "16 + sum([PAD4(x)", "1 << 35) + sum([PAD4(x)"),
+    "lanes of 64 bits": ("PARSE_WEIGHTS", "| LANES_LOG2_MAX | 8 |", "| LANES_LOG2_MAX | 64 |"),
+    "a byte beyond 64 bits": ("BYTES", "[value >> 8 * i & 255", "[value >> 9 * i & 255"),
+}
+
+
+def named(start: str) -> str:
+    return next(name for name in BODIES if name.startswith(start))
+
+
+@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] * (n in SLOW)) for n in BODIES])
+def test_proved(name: str) -> None:
+    assert prove(name, TEXT).fault == ""
+
+
+def test_each_row_has_a_planted_bound() -> None:
+    assert set(PLANTED) == set(ROWS)
+
+
+@pytest.mark.parametrize("row", PLANTED)
+def test_a_lower_bound_is_not_proved(row: str) -> None:
+    start, divisor = PLANTED[row]
+    head, _, rest = TEXT.partition(f"\n| {row} | ")
+    clause, bound, tail = rest.split(" | ", 2)
+    text = f"{head}\n| {row} | {clause} | ({bound}) // {divisor} | {tail}"
+    assert prove(named(start), text).fault.startswith(f"{row}: above {ROWS[row].bound // divisor}")
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_a_change_is_not_proved(change: str) -> None:
+    start, old, new = CHANGES[change]
+    assert TEXT.count(old) == 1
+    assert prove(named(start), TEXT.replace(old, new)).fault
+
+
+def test_each_proof_can_fail() -> None:
+    names = {named(start) for start, *_ in [*PLANTED.values(), *CHANGES.values()]}
+    assert set(BODIES) - names == {"x^2 <= q < (n + 1)^2: |x| <= n"}
+
+
+def test_shifts_without_a_proof_are_named() -> None:
+    """Those of READ_BITS only are followed here."""
+    wrong, summary = proofs.shifts([prove(named("READ_BITS: k bits"), TEXT)])
+    assert summary.startswith(f"{len(specification(TEXT).shifts)} shifts: ")
+    assert "READ_ESCAPE: 1 << z" in wrong
+    assert not any(place.startswith(("READ_BITS", "CRC32", "ADD_F32")) for place in wrong)
+
+
+def test_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """It fails if a row or a shift has no proof."""
+    monkeypatch.setattr(proofs, "BODIES", {name: BODIES[name] for name in BODIES if name.startswith("PACKED_LAYER")})
+    assert proofs.main() == 1
+    printed = capsys.readouterr().out
+    assert "PACKED_LAYER: 7.13" in printed
+    assert "  no proof: work\n" in printed
+    assert "  not proved: READ_ESCAPE: 1 << z\n" in printed
+    assert "  argued: ADD_F32: " in printed
