@@ -95,7 +95,8 @@ enum {
     PLANE_TABLE_LENGTH = 20,
     POSITION_MODEL_LENGTH = 580,
     CHUNK_ENTRY_LENGTH = 28,
-    CHUNK_HEAD_LENGTH = 16
+    CHUNK_HEAD_LENGTH = 16,
+    SECTIONS_MAX = HEADER_LENGTH_MAX / DIRECTORY_ENTRY_LENGTH
 };
 #define SECTION_LENGTH_MAX (UINT64_C(1) << 48)
 #define ORIGIN_BOUND (INT64_C(1) << 62)
@@ -149,11 +150,10 @@ enum { STATUS_REFUSED = 1, STATUS_UNSUPPORTED = 2, STATUS_USAGE = 64 };
 
 /* ---------------------------------------------------------------- memory, input and output */
 
-/* All allocated memory is in one ring, so that every exit can release it. */
-struct block {
-    struct block *before, *next; /* two pointers: what follows is aligned as they are */
-};
-static struct block blocks = {&blocks, &blocks};
+/* All allocated memory, so that every exit can release it. BLOCKS_MAX is more than a file needs: three blocks for each of
+   57 layers, and about 30 others. */
+enum { BLOCKS_MAX = 256 };
+static void *blocks[BLOCKS_MAX]; /* or null pointers */
 
 static FILE *input, *output; /* null pointers if they are not open */
 static char *place, *beside; /* where the output will be, and where it is until it is whole; or null pointers */
@@ -162,12 +162,10 @@ static uint64_t input_at;     /* the bytes that were read of the file */
 /* not of the specification */
 static void RELEASE_BLOCKS(void)
 {
-    while (blocks.next != &blocks) {
-        struct block *b = blocks.next;
-        blocks.next = b->next;
-        free(b);
+    for (int i = 0; i < BLOCKS_MAX; i++) {
+        free(blocks[i]);
+        blocks[i] = NULL;
     }
-    blocks.before = &blocks;
 }
 
 /* not of the specification: releases all that the program holds, and removes an output that is not whole */
@@ -194,11 +192,15 @@ _Noreturn static void FAIL(const char *message)
     exit(STATUS_USAGE);
 }
 
+/* not of the specification: says again what earlier checks give, where an access or an operation depends on it. So a mistake
+   in them is no undefined behaviour. */
+#define SURE(condition) ((condition) ? (void)0 : FAIL("a check is missing: please report this file"))
+
 /* 10.1, 10.2: the first error ends the decoding */
 _Noreturn static void REFUSE(enum error code, uint64_t offset)
 {
     size_t i = 0, dot = 0;
-    while (registry[i].code != code)
+    while (i + 1 < sizeof registry / sizeof *registry && registry[i].code != code)
         i++;
     fprintf(stderr, "{\"code\": %d, \"name\": \"", (int)code);
     for (const char *c = registry[i].name; *c; c++)
@@ -208,36 +210,28 @@ _Noreturn static void REFUSE(enum error code, uint64_t offset)
     exit(registry[i].class == UNSUPPORTED ? STATUS_UNSUPPORTED : STATUS_REFUSED);
 }
 
-/* 13.1: makes a block, or gives one another size. Callers have checked the size against the file or the level. */
-static void *RESIZE(void *p, uint64_t bytes)
-{
-    struct block *b = NULL;
-    if (bytes <= SIZE_MAX - sizeof *b)
-        b = realloc(p ? (struct block *)p - 1 : NULL, sizeof *b + (size_t)bytes);
-    if (!b)
-        FAIL("out of memory");
-    if (!p) {
-        b->before = &blocks;
-        b->next = blocks.next;
-    }
-    b->before->next = b->next->before = b;
-    return b + 1;
-}
-
-/* 13.1: a block of zeros */
+/* 13.1: a block of zeros. Callers have checked the size against the file or the level: count < 2^32, size < 2^16. */
 static void *ALLOCATE(uint64_t count, uint64_t size)
 {
-    uint64_t bytes = count * size; /* count < 2^32, size < 2^16 */
-    return memset(RESIZE(NULL, bytes), 0, (size_t)bytes);
+    uint64_t bytes = count * size;
+    int i = 0;
+    while (i < BLOCKS_MAX && blocks[i])
+        i++;
+    SURE(i < BLOCKS_MAX);
+    if (bytes <= SIZE_MAX)
+        blocks[i] = calloc(bytes ? (size_t)bytes : 1, 1);
+    if (!blocks[i])
+        FAIL("out of memory");
+    return blocks[i];
 }
 
 /* 13.1 */
 static void FREE(void *p)
 {
-    struct block *b = (struct block *)p - 1;
-    b->before->next = b->next;
-    b->next->before = b->before;
-    free(b);
+    for (int i = 0; i < BLOCKS_MAX; i++)
+        if (blocks[i] == p)
+            blocks[i] = NULL;
+    free(p);
 }
 
 struct buffer { /* room for bytes of the file; data is a block */
@@ -258,7 +252,12 @@ static struct piece READ(struct buffer *b, uint64_t n)
     for (;;) {
         uint64_t room = p.length ? 2 * p.length : 1 << 16, got;
         if (b->room < room) {
-            b->data = RESIZE(b->data, room);
+            uint8_t *data = ALLOCATE(room, 1);
+            if (b->data) {
+                memcpy(data, b->data, (size_t)p.length);
+                FREE(b->data);
+            }
+            b->data = data;
             b->room = room;
         }
         p.data = b->data;
@@ -398,11 +397,11 @@ static int64_t ROUND_SCALED(uint32_t x, int e)
 /* 2.4: the bits of the f32, for |n| < 2^63. The result is normal or zero. */
 static uint32_t ROUND_F32(int64_t n, int e)
 {
-    uint64_t a = n < 0 ? (uint64_t)-n : (uint64_t)n, m = a;
+    uint64_t a = n < 0 ? 0 - (uint64_t)n : (uint64_t)n, m = a;
     int s = 0;
     if (!a)
         return 0;
-    while (a >> s >> 24)
+    while (s < 40 && a >> s >> 24)
         s++;
     if (s) {
         m = (a + (UINT64_C(1) << (s - 1))) >> s;
@@ -410,10 +409,12 @@ static uint32_t ROUND_F32(int64_t n, int e)
             m &= ~UINT64_C(1);
     }
     e += s;
-    for (; m < UINT64_C(1) << 23; m <<= 1)
+    for (int i = 0; i < 23 && m < UINT64_C(1) << 23; i++, m <<= 1)
         e--;
-    for (; m >= UINT64_C(1) << 24; m >>= 1) /* only 2^24, after a carry */
+    if (m >= UINT64_C(1) << 24) { /* only 2^24, after a carry */
+        m >>= 1;
         e++;
+    }
     return (n < 0 ? UINT32_C(1) << 31 : 0) | (uint32_t)(e + 150) << 23 | ((uint32_t)m & 0x7FFFFF);
 }
 
@@ -558,10 +559,10 @@ static void READ_TABLES(const uint8_t *data, uint64_t length)
         for (int row = 0; row < SCALE_END - SCALE_MIN; row++)
             for (int column = 0; column < FRACTIONS; column++) {
                 struct model *m = f ? &LAPLACE[row][column] : &GAUSS[row][column];
-                m->radius = data[0];
-                for (int j = 0; j < 2 * m->radius + 2; j++)
+                int radius = m->radius = data[0];
+                for (int j = 0; j < 2 * radius + 2; j++)
                     m->frequency[j] = (uint16_t)GET_U16(data + 1 + 2 * j);
-                data += 1 + 2 * (2 * m->radius + 2);
+                data += 1 + 2 * (2 * radius + 2);
             }
 }
 
@@ -574,7 +575,7 @@ struct entry { /* 5.6; `at` is the offset of the entry */
     uint64_t at, length;
     uint32_t crc;
     enum section section;
-    uint8_t type[4], mode, reserved[3];
+    uint8_t type[4], mode;
 };
 
 struct list { /* 5.3: some widths of `size` bytes each; `at` is the offset of the first */
@@ -634,7 +635,7 @@ struct header {
     struct list hyper_width, sarm_width, carm_width, slice_width;
     uint8_t *drawn; /* 9.3: the bytes of RenderInfo and of Dimensions */
     uint64_t drawn_length;
-    struct entry *directory;
+    struct entry directory[SECTIONS_MAX];
     uint32_t features, channels; /* F and D of 6.3 */
 };
 
@@ -677,46 +678,48 @@ static void TAKE_LIST(struct piece p, uint64_t *at, struct list *l, uint8_t size
         l->item[i] = size == 1 ? item[i] : (uint16_t)GET_U16(item + 2 * i);
 }
 
+/* 5.2: where the field at an offset of the file is in the array of the fixed fields */
+#define FIELD(at) (f + ((at) - PROLOGUE_LENGTH))
+
 /* 5.2 to 5.6, 6.2: R6.2-1 to R6.2-5 */
 static void HEADER_FIELDS(struct header *h, struct buffer *b)
 {
     struct piece p = READ(b, h->length);
     uint64_t at = PROLOGUE_LENGTH, padding_at, padding;
-    const uint8_t *f;
+    uint8_t f[FIXED_LENGTH]; /* as 5.2 to 5.5 have them */
     if (p.length < h->length)
         REFUSE(HEADER_TRUNCATED, input_at);
     if (GET_U32(p.data + p.length - 4) != CRC32(0, p.data, p.length - 4))
         REFUSE(HEADER_CRC, p.at + p.length - 4);
-    /* The fixed fields, as 5.2 to 5.5 have them. f is the byte 0 of the file, as it were. */
-    f = TAKE(p, &at, FIXED_LENGTH) - PROLOGUE_LENGTH;
-    h->profile = f[AT_PROFILE];
-    h->level = f[AT_LEVEL];
-    h->section_count = GET_U16(f + AT_SECTION_COUNT);
-    h->anchor_count = GET_U32(f + AT_ANCHOR_COUNT);
-    h->chunk_count = GET_U32(f + AT_CHUNK_COUNT);
-    h->chunk_size = GET_U32(f + AT_CHUNK_SIZE);
-    memcpy(h->lanes_log2, f + AT_LANES, 3);
+    memcpy(f, TAKE(p, &at, FIXED_LENGTH), FIXED_LENGTH);
+    h->profile = *FIELD(AT_PROFILE);
+    h->level = *FIELD(AT_LEVEL);
+    h->section_count = GET_U16(FIELD(AT_SECTION_COUNT));
+    h->anchor_count = GET_U32(FIELD(AT_ANCHOR_COUNT));
+    h->chunk_count = GET_U32(FIELD(AT_CHUNK_COUNT));
+    h->chunk_size = GET_U32(FIELD(AT_CHUNK_SIZE));
+    memcpy(h->lanes_log2, FIELD(AT_LANES), 3);
     for (int a = 0; a < 3; a++) {
-        h->base_step[a] = GET_U32(f + AT_BASE_STEP + 4 * a);
-        h->origin[a] = GET_I64(f + AT_ORIGIN + 8 * a);
+        h->base_step[a] = GET_U32(FIELD(AT_BASE_STEP) + 4 * a);
+        h->origin[a] = GET_I64(FIELD(AT_ORIGIN) + 8 * a);
     }
-    h->scale_mantissa = GET_U16(f + AT_SCALE_MANTISSA);
-    h->scale_exponent = f[AT_SCALE_EXPONENT] < 128 ? f[AT_SCALE_EXPONENT] : f[AT_SCALE_EXPONENT] - 256;
-    h->up_axis = f[AT_UP_AXIS];
+    h->scale_mantissa = GET_U16(FIELD(AT_SCALE_MANTISSA));
+    h->scale_exponent = *FIELD(AT_SCALE_EXPONENT) < 128 ? *FIELD(AT_SCALE_EXPONENT) : *FIELD(AT_SCALE_EXPONENT) - 256;
+    h->up_axis = *FIELD(AT_UP_AXIS);
     for (int i = 0; i < 4; i++)
-        h->render[i] = GET_U32(f + AT_RENDER_NUMBERS + 4 * i);
-    h->render_model = f[AT_RENDER_MODEL];
-    h->offset_count = f[AT_OFFSET_COUNT];
-    h->plane_channels = f[AT_PLANE_CHANNELS];
-    h->frequency_count = f[AT_FREQUENCY_COUNT];
-    h->slice_width.count = f[AT_SLICE_COUNT];
-    h->hyper_width.count = f[AT_HYPER_LAYERS];
-    h->sarm_width.count = f[AT_SARM_LAYERS];
-    h->carm_width.count = f[AT_CARM_LAYERS];
-    h->view_inputs = f[AT_VIEW_INPUTS];
-    h->colour_outputs = f[AT_COLOUR_OUTPUTS];
-    h->plane_size = GET_U16(f + AT_PLANE_SIZE);
-    h->render_width = (uint16_t)GET_U16(f + AT_RENDER_WIDTH);
+        h->render[i] = GET_U32(FIELD(AT_RENDER_NUMBERS) + 4 * i);
+    h->render_model = *FIELD(AT_RENDER_MODEL);
+    h->offset_count = *FIELD(AT_OFFSET_COUNT);
+    h->plane_channels = *FIELD(AT_PLANE_CHANNELS);
+    h->frequency_count = *FIELD(AT_FREQUENCY_COUNT);
+    h->slice_width.count = *FIELD(AT_SLICE_COUNT);
+    h->hyper_width.count = *FIELD(AT_HYPER_LAYERS);
+    h->sarm_width.count = *FIELD(AT_SARM_LAYERS);
+    h->carm_width.count = *FIELD(AT_CARM_LAYERS);
+    h->view_inputs = *FIELD(AT_VIEW_INPUTS);
+    h->colour_outputs = *FIELD(AT_COLOUR_OUTPUTS);
+    h->plane_size = GET_U16(FIELD(AT_PLANE_SIZE));
+    h->render_width = (uint16_t)GET_U16(FIELD(AT_RENDER_WIDTH));
     TAKE_LIST(p, &at, &h->hyper_width, 2);
     TAKE_LIST(p, &at, &h->sarm_width, 2);
     TAKE_LIST(p, &at, &h->carm_width, 2);
@@ -731,27 +734,29 @@ static void HEADER_FIELDS(struct header *h, struct buffer *b)
         REFUSE(HEADER_SYNTAX, at);
     if (!ZERO(p, padding_at - p.at, padding_at - p.at + padding))
         REFUSE(HEADER_PADDING, padding_at);
-    if (f[AT_RESERVED])
+    if (*FIELD(AT_RESERVED))
         REFUSE(HEADER_RESERVED, AT_RESERVED);
-    if (f[AT_GRID_RESERVED])
+    if (*FIELD(AT_GRID_RESERVED))
         REFUSE(HEADER_RESERVED, AT_GRID_RESERVED);
-    if (f[AT_RENDER_RESERVED])
+    if (*FIELD(AT_RENDER_RESERVED))
         REFUSE(HEADER_RESERVED, AT_RENDER_RESERVED);
-    if (f[AT_DIMENSIONS_RESERVED])
+    if (*FIELD(AT_DIMENSIONS_RESERVED))
         REFUSE(HEADER_RESERVED, AT_DIMENSIONS_RESERVED);
     h->drawn = ALLOCATE(h->drawn_length, 1);
-    memcpy(h->drawn, f + AT_RENDER_INFO, (size_t)h->drawn_length);
-    h->directory = ALLOCATE(h->section_count, sizeof *h->directory);
+    memcpy(h->drawn, p.data + (AT_RENDER_INFO - p.at), (size_t)h->drawn_length);
+    SURE(h->section_count <= SECTIONS_MAX);
     for (uint32_t i = 0; i < h->section_count; i++) {
         struct entry *e = &h->directory[i];
-        e->at = padding_at + padding + DIRECTORY_ENTRY_LENGTH * (uint64_t)i;
-        f = p.data + (e->at - p.at);
-        memcpy(e->type, f, 4);
-        e->mode = f[4];
-        e->length = GET_U64(f + 8);
-        e->crc = GET_U32(f + 16);
-        if (f[5] || f[6] || f[7])
-            REFUSE(HEADER_RESERVED, e->at + 5);
+        uint64_t entry_at = padding_at + padding + DIRECTORY_ENTRY_LENGTH * (uint64_t)i;
+        uint8_t d[DIRECTORY_ENTRY_LENGTH];
+        memcpy(d, p.data + (entry_at - p.at), sizeof d);
+        e->at = entry_at;
+        memcpy(e->type, d, 4);
+        e->mode = d[4];
+        e->length = GET_U64(d + 8);
+        e->crc = GET_U32(d + 16);
+        if (d[5] || d[6] || d[7])
+            REFUSE(HEADER_RESERVED, entry_at + 5);
     }
 }
 
@@ -817,6 +822,10 @@ static void DIMENSIONS(struct header *h, const struct bounds b[15])
     if (h->render_model == STATIC && h->colour_outputs != 3 && h->colour_outputs != 12 && h->colour_outputs != 27 &&
         h->colour_outputs != 48)
         REFUSE(HEADER_DIMENSION, AT_COLOUR_OUTPUTS);
+    SURE(h->offset_count >= 1 && h->offset_count <= OFFSETS_MAX && h->plane_channels <= 16 &&
+         h->frequency_count <= 16 && h->slice_width.count >= 1 && h->slice_width.count <= SLICES_MAX &&
+         h->view_inputs <= 8 && h->colour_outputs >= 1 && h->colour_outputs <= COLOURS_MAX && h->plane_size <= 1024 &&
+         h->render_width <= 128 && h->features <= FEATURES_MAX);
 }
 
 /* ---------------------------------------------------------------- 5.8, 7.2 networks */
@@ -842,11 +851,17 @@ enum { HYPER, SARM, CARM_1, OPACITY = CARM_1 + CARM_MAX, COVARIANCE, COLOUR, NET
 /* 5.8: the shape of one network */
 static void SHAPE(struct network *n, uint32_t inputs, const struct list *hidden, uint32_t outputs)
 {
-    n->layers = hidden->count + 1u;
-    for (uint32_t i = 0; i < n->layers; i++) {
+    uint32_t count = hidden->count;
+    SURE(count < LAYERS_MAX);
+    n->layers = count + 1;
+    for (uint32_t i = 0; i < count; i++) {
+        uint32_t width = hidden->item[i];
+        SURE(width <= WIDTH_MAX);
         n->layer[i].inputs = inputs;
-        n->layer[i].outputs = inputs = i < hidden->count ? hidden->item[i] : outputs;
+        n->layer[i].outputs = inputs = width;
     }
+    n->layer[count].inputs = inputs;
+    n->layer[count].outputs = outputs;
 }
 
 /* 5.8: the shapes of all networks. Networks that are not present have no layers. */
@@ -971,7 +986,7 @@ static void DIRECTORY(struct header *h, const struct network *networks)
     static const char types[CRITICAL][5] = {"FRAM", "WGTS", "PLNS", "INDX", "DATA"};
     struct entry *d = h->directory;
     uint64_t k = h->offset_count, inputs = h->features - h->slice_width.item[h->slice_width.count - 1];
-    int wanted[CRITICAL], next = 0, count = 0;
+    int wanted[CRITICAL] = {0}, next = 0, count = 0;
     for (int i = 0; i < CRITICAL; i++)
         if ((i != FRAM || h->plane_channels || h->frequency_count) && (i != PLNS || h->plane_channels))
             wanted[count++] = i;
@@ -990,7 +1005,7 @@ static void DIRECTORY(struct header *h, const struct network *networks)
         d[i].section = (enum section)section;
     }
     for (uint32_t i = 0; i < h->section_count; i++)
-        if (d[i].section != ANCILLARY && (next == count || wanted[next++] != (int)d[i].section))
+        if (d[i].section != ANCILLARY && (next >= count || wanted[next++] != (int)d[i].section))
             REFUSE(DIRECTORY_ORDER, d[i].at);
     if (next < count)
         REFUSE(DIRECTORY_ORDER, AT_SECTION_COUNT);
@@ -1053,16 +1068,18 @@ static void SKIP_SECTION(const struct entry *e, struct buffer *b)
 static int DERIVE_ROW(const uint8_t *weights, uint32_t bias, struct layer *l, uint32_t row)
 {
     for (int e = EXPONENT_MAX; e >= 0; e--) {
-        int64_t sum = 0, b = ROUND_SCALED(bias, e); /* |b| < 2^54, and sum is below 2^8 * 2^10 */
+        int64_t b = ROUND_SCALED(bias, e); /* |b| < 2^54 */
+        uint64_t sum = 0;                  /* below 2^8 * 2^10 */
         uint32_t i;
         for (i = 0; i < l->inputs; i++) {
             int64_t w = ROUND_SCALED(GET_U32(weights + 4 * i), e);
             if (MAGNITUDE(w) > WEIGHT_MAX)
                 break;
-            sum += MAGNITUDE(w);
+            sum += (uint64_t)MAGNITUDE(w);
             l->weight[row * l->inputs + i] = (int16_t)w;
         }
-        if (i == l->inputs && sum * ACTIVATION_MAX + MAGNITUDE(b) + ((INT64_C(1) << e) >> 1) < ACCUMULATOR_BOUND) {
+        sum = sum * ACTIVATION_MAX + (uint64_t)MAGNITUDE(b) + ((UINT64_C(1) << e) >> 1);
+        if (i == l->inputs && sum < ACCUMULATOR_BOUND) {
             l->bias[row] = (int32_t)b;
             l->exponent[row] = (uint8_t)e;
             return 1;
@@ -1109,6 +1126,7 @@ static void NETWORK(const struct network *n, const int32_t *inputs, int32_t *out
             int32_t sum = l->bias[r];
             for (uint32_t i = 0; i < l->inputs; i++)
                 sum += w[i] * inputs[i];
+            SURE(sum > -ACCUMULATOR_BOUND && sum < ACCUMULATOR_BOUND && l->exponent[r] <= EXPONENT_MAX);
             sum = (int32_t)RSHIFT_ROUND(sum, l->exponent[r]);
             out[r] = last ? sum : (int32_t)CLAMP(sum, 0, ACTIVATION_MAX);
         }
@@ -1130,8 +1148,9 @@ struct stream {
 /* 8.1, 5.15 */
 static void OPEN(struct stream *s, struct piece p, unsigned lanes_log2)
 {
-    uint32_t lanes = UINT32_C(1) << lanes_log2;
+    uint32_t lanes = UINT32_C(1) << (lanes_log2 & 15); /* LANES_LOG2_MAX at most */
     uint64_t words_at = 8 + 4 * (uint64_t)lanes, raw_at;
+    SURE(lanes <= LANES_MAX);
     if (p.length < words_at)
         REFUSE(SUBSTREAM_LENGTH, p.at);
     memset(s, 0, sizeof *s);
@@ -1373,26 +1392,28 @@ struct scene {
 static void FRAME(struct scene *s, struct piece p)
 {
     struct frame *f = &s->frame;
-    if (p.data[63])
+    uint8_t d[FRAME_LENGTH];
+    memcpy(d, p.data, sizeof d);
+    if (d[63])
         REFUSE(FRAME_RESERVED, p.at + 63);
     for (uint32_t i = 0; i < 9; i++) {
-        f->matrix[i] = GET_I32(p.data + 4 * i);
+        f->matrix[i] = GET_I32(d + 4 * i);
         if (MAGNITUDE(f->matrix[i]) >= MATRIX_BOUND)
             REFUSE(FRAME_RANGE, p.at + 4 * i);
     }
     for (uint32_t i = 0; i < 3; i++) {
-        f->translation[i] = GET_I64(p.data + 36 + 8 * i);
+        f->translation[i] = GET_I64(d + 36 + 8 * i);
         if (f->translation[i] <= -TRANSLATION_BOUND || f->translation[i] >= TRANSLATION_BOUND)
             REFUSE(FRAME_RANGE, p.at + 36 + 8 * i);
     }
     for (uint32_t i = 0; i < 3; i++) {
-        f->shift[i] = p.data[60 + i];
+        f->shift[i] = d[60 + i];
         if (f->shift[i] > FRAME_SHIFT_MAX)
             REFUSE(FRAME_RANGE, p.at + 60 + i);
     }
     for (uint32_t i = 0; i < 3; i++) {
-        f->low[i] = GET_I32(p.data + 64 + 4 * i);
-        f->high[i] = GET_I32(p.data + 76 + 4 * i);
+        f->low[i] = GET_I32(d + 64 + 4 * i);
+        f->high[i] = GET_I32(d + 76 + 4 * i);
         if (f->low[i] < -FRAME_RANGE_BOUND || f->low[i] >= FRAME_RANGE_BOUND)
             REFUSE(FRAME_RANGE, p.at + 64 + 4 * i);
         if (f->high[i] <= f->low[i] || f->high[i] > FRAME_RANGE_BOUND)
@@ -1409,11 +1430,13 @@ static uint64_t LAYER_MODELS(struct scene *s, struct piece p, uint64_t at)
     for (int i = 0; i < NETWORKS; i++)
         for (uint32_t k = 0; k < s->networks[i].layers; k++) {
             struct layer *l = &s->networks[i].layer[k];
-            const uint8_t *m = l->model = p.data + at;
+            uint8_t m[LAYER_MODEL_LENGTH];
             uint64_t bytes = 4 * (uint64_t)l->outputs * (l->inputs + 1);
             int64_t exponent;
             if (LAYER_MODEL_LENGTH > p.length - at)
                 REFUSE(WEIGHTS_LENGTH, p.at);
+            memcpy(m, p.data + at, sizeof m);
+            l->model = p.data + at;
             if (m[6] || m[7])
                 REFUSE(WEIGHTS_RESERVED, p.at + at + 6);
             if (m[0] > 1)
@@ -1448,7 +1471,7 @@ static uint32_t ON_GRID(int32_t n, int64_t e)
     uint32_t m = (uint32_t)MAGNITUDE(n), sign = n < 0 ? UINT32_C(1) << 31 : 0;
     if (!m)
         return 0;
-    while (!(m & 0x800000)) {
+    for (int i = 0; i < 23 && !(m & 0x800000); i++) {
         m <<= 1;
         e++;
     }
@@ -1544,6 +1567,7 @@ static void READ_WEIGHTS(struct scene *s, struct piece p, int mode)
     uint32_t inputs = s->h.features - s->h.slice_width.item[s->h.slice_width.count - 1];
     uint64_t values_at = PAD4(2 + inputs), count = WEIGHT_COUNT(s->networks, 0, NETWORKS);
     uint8_t *values = NULL;
+    SURE(inputs < FEATURES_MAX);
     if (p.length < values_at)
         REFUSE(WEIGHTS_LENGTH, p.at);
     s->plane_shift = p.data[0];
@@ -1662,7 +1686,8 @@ struct chunk { /* 5.13 */
 /* 5.13 */
 static void ENTRY(const uint8_t *entries, uint64_t number, struct chunk *c)
 {
-    const uint8_t *e = entries + CHUNK_ENTRY_LENGTH * number;
+    uint8_t e[CHUNK_ENTRY_LENGTH];
+    memcpy(e, entries + CHUNK_ENTRY_LENGTH * number, sizeof e);
     c->length = GET_U32(e);
     c->crc = GET_U32(e + 4);
     c->anchors = GET_U32(e + 8);
@@ -1778,7 +1803,7 @@ static int32_t CELL_NUMBER(uint32_t c, unsigned cell_shift)
     if (cell_shift < CELL_INDEX) {
         unsigned e = 0;
         p = bits << cell_shift;
-        while (p >> e >= 2048)
+        while (e < 63 && p >> e >= 2048)
             e++;
         if (p >> e << e != p)
             return -1;
@@ -1890,6 +1915,7 @@ static void CONTRACT(int64_t v[3])
     if (q <= unit * unit)
         return;
     n = ISQRT(q);
+    SURE(n > 0);
     f = (2 * n - unit) * unit / n;
     for (int r = 0; r < 3; r++)
         v[r] = FLOOR_DIV(v[r] * f, n);
@@ -1899,8 +1925,11 @@ static void CONTRACT(int64_t v[3])
 static void RESCALE(const struct frame *f, int64_t w[3])
 {
     const int64_t unit = INT64_C(1) << UNIT_BITS;
-    for (int r = 0; r < 3; r++)
-        w[r] = CLAMP(FLOOR_DIV((w[r] - f->low[r]) * unit, f->high[r] - f->low[r]), 0, unit);
+    for (int r = 0; r < 3; r++) {
+        int64_t range = f->high[r] - f->low[r];
+        SURE(range > 0);
+        w[r] = CLAMP(FLOOR_DIV((w[r] - f->low[r]) * unit, range), 0, unit);
+    }
 }
 
 /* 7.5.4: g is below 2^27, and the sum with the rounding term is below 2^31 */
@@ -2017,6 +2046,7 @@ static void DECODE_STAGE(struct scene *s, struct stream *stream, uint64_t anchor
 static void CHANNEL_CONTEXT(struct scene *s, uint32_t i, uint32_t first, uint64_t anchors)
 {
     int32_t inputs[FEATURES_MAX];
+    SURE(first <= FEATURES_MAX);
     for (uint64_t n = 0; n < anchors; n++) {
         for (uint32_t k = 0; k < first; k++)
             inputs[k] = ACTIVATION(RSHIFT_ROUND(s->symbols[n * s->h.channels + k], s->carm_shift[k]));
