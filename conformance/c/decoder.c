@@ -315,7 +315,7 @@ static int64_t GET_I32(const uint8_t *p)
 static int64_t GET_I64(const uint8_t *p)
 {
     uint64_t v = GET_U64(p);
-    return v >> 63 ? -(int64_t)(~v) - 1 : (int64_t)v;
+    return v <= INT64_MAX ? (int64_t)v : -(int64_t)(~v) - 1;
 }
 
 /* 9.3: little-endian, as 2.3 */
@@ -466,8 +466,8 @@ static void SHA_START(struct sha256 *s)
 {
     static const uint32_t h[8] = {
         0x6a09e667, 0xbb67ae85, 0x3c6ef372, 0xa54ff53a, 0x510e527f, 0x9b05688c, 0x1f83d9ab, 0x5be0cd19};
+    memset(s, 0, sizeof *s);
     memcpy(s->h, h, sizeof h);
-    s->length = 0;
 }
 
 /* 9.3 */
@@ -530,7 +530,7 @@ static const char *HEX(const uint8_t digest[32])
 /* ---------------------------------------------------------------- Annex A tables */
 
 struct model { /* 8.4 */
-    int radius;
+    uint8_t radius;
     uint16_t frequency[2 * 255 + 2];
 };
 typedef struct model family[SCALE_END - SCALE_MIN][FRACTIONS];
@@ -543,7 +543,7 @@ static family GAUSS, LAPLACE;
 static void READ_TABLES(const uint8_t *data, uint64_t length)
 {
     struct sha256 s;
-    uint8_t digest[32];
+    uint8_t digest[32] = {0};
     SHA_START(&s);
     SHA_ADD(&s, data, length);
     SHA_END(&s, digest);
@@ -559,7 +559,8 @@ static void READ_TABLES(const uint8_t *data, uint64_t length)
         for (int row = 0; row < SCALE_END - SCALE_MIN; row++)
             for (int column = 0; column < FRACTIONS; column++) {
                 struct model *m = f ? &LAPLACE[row][column] : &GAUSS[row][column];
-                int radius = m->radius = data[0];
+                int radius = data[0];
+                m->radius = data[0];
                 for (int j = 0; j < 2 * radius + 2; j++)
                     m->frequency[j] = (uint16_t)GET_U16(data + 1 + 2 * j);
                 data += 1 + 2 * (2 * radius + 2);
@@ -837,8 +838,9 @@ struct layer {
     int16_t *weight; /* row by row */
     int32_t *bias;
     uint8_t *exponent;
-    const uint8_t *model; /* in mode 1 its LayerModel (5.9) */
-    const uint8_t *raw;   /* in mode 1 its values, if it is raw */
+    uint8_t model[LAYER_MODEL_LENGTH]; /* in mode 1, 5.9 */
+    uint64_t model_at;                 /* where that is in the section, or 0 in mode 0 */
+    uint64_t raw_at;                   /* where its values are in the section, if it is raw in mode 1, or 0 */
 };
 
 struct network {
@@ -886,7 +888,7 @@ static uint64_t WEIGHT_COUNT(const struct network *n, int first, int end)
 {
     uint64_t count = 0;
     for (int i = first; i < end; i++)
-        for (uint32_t l = 0; l < n[i].layers; l++)
+        for (uint32_t l = 0; l < n[i].layers && l < LAYERS_MAX; l++)
             count += (uint64_t)n[i].layer[l].outputs * (n[i].layer[l].inputs + 1);
     return count;
 }
@@ -1104,7 +1106,7 @@ static void DERIVE_NETWORKS(struct network *n, int end, const uint8_t *values, s
                 uint64_t row = v + 4 * (uint64_t)r * l->inputs;
                 uint64_t named = l->inputs ? row : biases + 4 * (uint64_t)r; /* a row without weights has its bias */
                 if (!DERIVE_ROW(values + row, GET_U32(values + biases + 4 * r), l, r))
-                    REFUSE(WEIGHTS_BOUND, p.at + (l->model ? (uint64_t)(l->model - p.data) : values_at + named));
+                    REFUSE(WEIGHTS_BOUND, p.at + (l->model_at ? l->model_at : values_at + named));
             }
             v = biases + 4 * (uint64_t)l->outputs;
         }
@@ -1194,12 +1196,16 @@ static void NOTE_SYMBOL(struct stream *s, int32_t value)
     s->symbol_crc = CRC32(s->symbol_crc, b, 4);
 }
 
-/* 8.5: for |mean| and |scale| below 2^25 */
+/* 8.5: |mean| and |scale| are below 2^25, because they are sums of two numbers below ACCUMULATOR_BOUND. */
+enum { NUMBER_BOUND = 2 * ACCUMULATOR_BOUND };
 static const struct model *SELECT(family f, int32_t mean, int32_t scale, int32_t *centre, unsigned *raw_bits)
 {
-    unsigned k = (unsigned)CLAMP(RSHIFT(scale - 24, 3) + 1, 0, RAW_MAX);
-    int32_t row = (int32_t)CLAMP(scale - 8 * (int32_t)k, SCALE_MIN, SCALE_END - 1);
-    int32_t h = (int32_t)RSHIFT_ROUND(mean - 8 * ((INT32_C(1) << k) - 1), k) + 8;
+    unsigned k;
+    int32_t row, h;
+    SURE(mean > -NUMBER_BOUND && mean < NUMBER_BOUND && scale > -NUMBER_BOUND && scale < NUMBER_BOUND);
+    k = (unsigned)CLAMP(RSHIFT(scale - 24, 3) + 1, 0, RAW_MAX);
+    row = (int32_t)CLAMP(scale - 8 * (int32_t)k, SCALE_MIN, SCALE_END - 1);
+    h = (int32_t)RSHIFT_ROUND(mean - 8 * ((INT32_C(1) << k) - 1), k) + 8;
     *centre = (int32_t)RSHIFT(h, 4);
     *raw_bits = k;
     return &f[row - SCALE_MIN][h & 15];
@@ -1227,6 +1233,7 @@ static int32_t READ_ESCAPE(struct stream *s, int32_t radius)
         s->bad_escape = 1;
     else
         n = (int32_t)((UINT32_C(1) << z) + READ_BITS(s, z));
+    SURE(n > 0 && n < 1 << (ESCAPE_PREFIX_MAX + 1));
     return negative ? -(radius + n) : radius + n;
 }
 
@@ -1430,13 +1437,13 @@ static uint64_t LAYER_MODELS(struct scene *s, struct piece p, uint64_t at)
     for (int i = 0; i < NETWORKS; i++)
         for (uint32_t k = 0; k < s->networks[i].layers; k++) {
             struct layer *l = &s->networks[i].layer[k];
-            uint8_t m[LAYER_MODEL_LENGTH];
+            const uint8_t *m = l->model;
             uint64_t bytes = 4 * (uint64_t)l->outputs * (l->inputs + 1);
             int64_t exponent;
             if (LAYER_MODEL_LENGTH > p.length - at)
                 REFUSE(WEIGHTS_LENGTH, p.at);
-            memcpy(m, p.data + at, sizeof m);
-            l->model = p.data + at;
+            memcpy(l->model, p.data + at, sizeof l->model);
+            l->model_at = at;
             if (m[6] || m[7])
                 REFUSE(WEIGHTS_RESERVED, p.at + at + 6);
             if (m[0] > 1)
@@ -1458,7 +1465,7 @@ static uint64_t LAYER_MODELS(struct scene *s, struct piece p, uint64_t at)
             if (!m[0]) {
                 if (bytes > p.length - at)
                     REFUSE(WEIGHTS_LENGTH, p.at);
-                l->raw = p.data + at;
+                l->raw_at = at;
                 at += bytes;
             }
         }
@@ -1484,7 +1491,7 @@ static uint32_t ON_GRID(int32_t n, int64_t e)
 static void PACKED_LAYER(struct piece p, const struct layer *l, const struct value *few, const struct value *many,
                          uint8_t *v)
 {
-    uint64_t at = p.at + (uint64_t)(l->model - p.data), rows = l->outputs, inputs = l->inputs;
+    uint64_t at = p.at + l->model_at, rows = l->outputs, inputs = l->inputs;
     int64_t e = GET_I16(l->model + 2);
     int first = 1;
     for (uint64_t r = 0; r < rows; r++) {
@@ -1523,8 +1530,8 @@ static void DECODE_WEIGHTS(struct scene *s, struct piece p, uint64_t at, uint8_t
     for (int i = 0; i < NETWORKS; i++)
         for (uint32_t k = 0; k < s->networks[i].layers; k++) {
             const struct layer *l = &s->networks[i].layer[k];
-            few_count += l->raw ? 0 : 2 * l->outputs;
-            many_count += l->raw ? 0 : (uint64_t)l->outputs * l->inputs;
+            few_count += l->raw_at ? 0 : 2 * l->outputs;
+            many_count += l->raw_at ? 0 : (uint64_t)l->outputs * l->inputs;
         }
     few = few_values = ALLOCATE(few_count, sizeof *few);
     many = many_values = ALLOCATE(many_count, sizeof *many);
@@ -1533,7 +1540,7 @@ static void DECODE_WEIGHTS(struct scene *s, struct piece p, uint64_t at, uint8_t
     for (int i = 0; i < NETWORKS; i++)
         for (uint32_t k = 0; k < s->networks[i].layers; k++) {
             const struct layer *l = &s->networks[i].layer[k];
-            if (l->raw)
+            if (l->raw_at)
                 continue;
             for (uint32_t r = 0; r < 2 * l->outputs; r++)
                 few[few_count++].scale = SCALE_MIN + l->model[r < l->outputs ? 1 : 5];
@@ -1547,9 +1554,9 @@ static void DECODE_WEIGHTS(struct scene *s, struct piece p, uint64_t at, uint8_t
         for (uint32_t k = 0; k < s->networks[i].layers; k++) {
             const struct layer *l = &s->networks[i].layer[k];
             uint64_t weights = (uint64_t)l->outputs * l->inputs, count = weights + l->outputs;
-            if (l->raw) {
-                CHECK_FINITE(p, (uint64_t)(l->raw - p.data), count);
-                memcpy(v, l->raw, (size_t)(4 * count));
+            if (l->raw_at) {
+                CHECK_FINITE(p, l->raw_at, count);
+                memcpy(v, p.data + l->raw_at, (size_t)(4 * count));
             } else {
                 PACKED_LAYER(p, l, few, many, v);
                 few += 2 * l->outputs;
@@ -2322,7 +2329,7 @@ static void PARTS_END(struct scene *s, int print)
 {
     static const char names[PARTS][10] = {"positions", "masks",   "planes",  "features",
                                           "scalings",  "offsets", "weights", "splat"};
-    uint8_t head[HEAD_LENGTH], digests[PARTS][32], digest[32];
+    uint8_t head[HEAD_LENGTH], digests[PARTS][32] = {{0}}, digest[32] = {0};
     struct part whole = {.at = 0};
     int parts = PART_COUNT(&s->h);
     memcpy(head, "C3GSREC1", 8);

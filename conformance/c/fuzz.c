@@ -180,7 +180,7 @@ static void KERNEL_WEIGHTS(struct scene *s, struct piece p)
         for (int i = 0; i < NETWORKS; i++)
             for (uint32_t k = 0; k < s->networks[i].layers; k++) {
                 const struct layer *l = &s->networks[i].layer[k];
-                uint64_t count = l->raw ? 0 : kind ? (uint64_t)l->outputs * l->inputs : 2 * l->outputs;
+                uint64_t count = l->raw_at ? 0 : kind ? (uint64_t)l->outputs * l->inputs : 2 * l->outputs;
                 for (uint64_t n = 0; n < count; n++)
                     scale[few + many + n] = l->model[kind ? 4 : n < l->outputs ? 1 : 5];
                 *(kind ? &many : &few) += count;
