@@ -398,7 +398,7 @@ static int64_t ROUND_SCALED(uint32_t x, int e)
 static uint32_t ROUND_F32(int64_t n, int e)
 {
     uint64_t a = n < 0 ? 0 - (uint64_t)n : (uint64_t)n, m = a;
-    int s = 0;
+    int s = 0, zeros = 0;
     if (!a)
         return 0;
     while (s < 40 && a >> s >> 24)
@@ -409,8 +409,10 @@ static uint32_t ROUND_F32(int64_t n, int e)
             m &= ~UINT64_C(1);
     }
     e += s;
-    for (int i = 0; i < 23 && m < UINT64_C(1) << 23; i++, m <<= 1)
-        e--;
+    while (zeros < 23 && m << zeros < UINT64_C(1) << 23)
+        zeros++;
+    m <<= zeros;
+    e -= zeros;
     if (m >= UINT64_C(1) << 24) { /* only 2^24, after a carry */
         m >>= 1;
         e++;
@@ -844,18 +846,25 @@ struct layer {
 };
 
 struct network {
-    uint32_t layers;
-    struct layer layer[LAYERS_MAX];
+    struct layer layer[LAYERS_MAX]; /* those after the last one have no outputs */
 };
 
 enum { HYPER, SARM, CARM_1, OPACITY = CARM_1 + CARM_MAX, COVARIANCE, COLOUR, NETWORKS };
+
+/* 5.8: the number of layers */
+static uint32_t LAYERS(const struct network *n)
+{
+    uint32_t count = 0;
+    while (count < LAYERS_MAX && n->layer[count].outputs)
+        count++;
+    return count;
+}
 
 /* 5.8: the shape of one network */
 static void SHAPE(struct network *n, uint32_t inputs, const struct list *hidden, uint32_t outputs)
 {
     uint32_t count = hidden->count;
     SURE(count < LAYERS_MAX);
-    n->layers = count + 1;
     for (uint32_t i = 0; i < count; i++) {
         uint32_t width = hidden->item[i];
         SURE(width <= WIDTH_MAX);
@@ -888,7 +897,7 @@ static uint64_t WEIGHT_COUNT(const struct network *n, int first, int end)
 {
     uint64_t count = 0;
     for (int i = first; i < end; i++)
-        for (uint32_t l = 0; l < n[i].layers && l < LAYERS_MAX; l++)
+        for (uint32_t l = 0; l < LAYERS(&n[i]); l++)
             count += (uint64_t)n[i].layer[l].outputs * (n[i].layer[l].inputs + 1);
     return count;
 }
@@ -1096,7 +1105,7 @@ static void DERIVE_NETWORKS(struct network *n, int end, const uint8_t *values, s
 {
     uint64_t v = 0;
     for (int i = 0; i < end; i++)
-        for (uint32_t k = 0; k < n[i].layers; k++) {
+        for (uint32_t k = 0; k < LAYERS(&n[i]); k++) {
             struct layer *l = &n[i].layer[k];
             uint64_t biases = v + 4 * (uint64_t)l->outputs * l->inputs;
             l->weight = ALLOCATE((uint64_t)l->outputs * l->inputs, sizeof *l->weight);
@@ -1118,20 +1127,24 @@ static int32_t ACTIVATION(int64_t a) { return (int32_t)CLAMP(a, -ACTIVATION_MAX,
 /* 7.2: accumulators stay below ACCUMULATOR_BOUND, so 32 bits hold them */
 static void NETWORK(const struct network *n, const int32_t *inputs, int32_t *outputs)
 {
-    int32_t a[2][WIDTH_MAX];
-    for (uint32_t k = 0; k < n->layers; k++) {
+    int32_t a[2][WIDTH_MAX]; /* of hidden layers */
+    uint32_t layers = LAYERS(n);
+    for (uint32_t k = 0; k < layers; k++) {
         const struct layer *l = &n->layer[k];
-        int last = k + 1 == n->layers;
+        int last = k + 1 == layers;
         int32_t *out = last ? outputs : a[k & 1];
         for (uint32_t r = 0; r < l->outputs; r++) {
             const int16_t *w = l->weight + r * l->inputs;
             int32_t sum = l->bias[r];
+            uint8_t exponent = l->exponent[r];
             for (uint32_t i = 0; i < l->inputs; i++)
                 sum += w[i] * inputs[i];
-            SURE(sum > -ACCUMULATOR_BOUND && sum < ACCUMULATOR_BOUND && l->exponent[r] <= EXPONENT_MAX);
-            sum = (int32_t)RSHIFT_ROUND(sum, l->exponent[r]);
+            SURE(sum > -ACCUMULATOR_BOUND && sum < ACCUMULATOR_BOUND && exponent <= EXPONENT_MAX);
+            sum = (int32_t)RSHIFT_ROUND(sum, exponent);
             out[r] = last ? sum : (int32_t)CLAMP(sum, 0, ACTIVATION_MAX);
         }
+        if (last)
+            return;
         inputs = out;
     }
 }
@@ -1404,27 +1417,31 @@ static void FRAME(struct scene *s, struct piece p)
     if (d[63])
         REFUSE(FRAME_RESERVED, p.at + 63);
     for (uint32_t i = 0; i < 9; i++) {
-        f->matrix[i] = GET_I32(d + 4 * i);
-        if (MAGNITUDE(f->matrix[i]) >= MATRIX_BOUND)
+        int64_t v = GET_I32(d + 4 * i);
+        if (v <= -MATRIX_BOUND || v >= MATRIX_BOUND)
             REFUSE(FRAME_RANGE, p.at + 4 * i);
+        f->matrix[i] = v;
     }
     for (uint32_t i = 0; i < 3; i++) {
-        f->translation[i] = GET_I64(d + 36 + 8 * i);
-        if (f->translation[i] <= -TRANSLATION_BOUND || f->translation[i] >= TRANSLATION_BOUND)
+        int64_t v = GET_I64(d + 36 + 8 * i);
+        if (v <= -TRANSLATION_BOUND || v >= TRANSLATION_BOUND)
             REFUSE(FRAME_RANGE, p.at + 36 + 8 * i);
+        f->translation[i] = v;
     }
     for (uint32_t i = 0; i < 3; i++) {
-        f->shift[i] = d[60 + i];
-        if (f->shift[i] > FRAME_SHIFT_MAX)
+        unsigned v = d[60 + i];
+        if (v > FRAME_SHIFT_MAX)
             REFUSE(FRAME_RANGE, p.at + 60 + i);
+        f->shift[i] = v;
     }
     for (uint32_t i = 0; i < 3; i++) {
-        f->low[i] = GET_I32(d + 64 + 4 * i);
-        f->high[i] = GET_I32(d + 76 + 4 * i);
-        if (f->low[i] < -FRAME_RANGE_BOUND || f->low[i] >= FRAME_RANGE_BOUND)
+        int64_t low = GET_I32(d + 64 + 4 * i), high = GET_I32(d + 76 + 4 * i);
+        if (low < -FRAME_RANGE_BOUND || low >= FRAME_RANGE_BOUND)
             REFUSE(FRAME_RANGE, p.at + 64 + 4 * i);
-        if (f->high[i] <= f->low[i] || f->high[i] > FRAME_RANGE_BOUND)
+        if (high <= low || high > FRAME_RANGE_BOUND)
             REFUSE(FRAME_RANGE, p.at + 76 + 4 * i);
+        f->low[i] = low;
+        f->high[i] = high;
     }
 }
 
@@ -1435,7 +1452,7 @@ static void FRAME(struct scene *s, struct piece p)
 static uint64_t LAYER_MODELS(struct scene *s, struct piece p, uint64_t at)
 {
     for (int i = 0; i < NETWORKS; i++)
-        for (uint32_t k = 0; k < s->networks[i].layers; k++) {
+        for (uint32_t k = 0; k < LAYERS(&s->networks[i]); k++) {
             struct layer *l = &s->networks[i].layer[k];
             const uint8_t *m = l->model;
             uint64_t bytes = 4 * (uint64_t)l->outputs * (l->inputs + 1);
@@ -1476,12 +1493,13 @@ static uint64_t LAYER_MODELS(struct scene *s, struct piece p, uint64_t at)
 static uint32_t ON_GRID(int32_t n, int64_t e)
 {
     uint32_t m = (uint32_t)MAGNITUDE(n), sign = n < 0 ? UINT32_C(1) << 31 : 0;
+    int zeros = 0;
     if (!m)
         return 0;
-    for (int i = 0; i < 23 && !(m & 0x800000); i++) {
-        m <<= 1;
-        e++;
-    }
+    while (zeros < 23 && !(m << zeros & 0x800000))
+        zeros++;
+    m <<= zeros;
+    e += zeros;
     if (e >= 150)
         return sign | m >> (e - 149);
     return sign | (uint32_t)(150 - e) << 23 | (m & 0x7FFFFF);
@@ -1528,7 +1546,7 @@ static void DECODE_WEIGHTS(struct scene *s, struct piece p, uint64_t at, uint8_t
     struct stream stream;
     at = LAYER_MODELS(s, p, at);
     for (int i = 0; i < NETWORKS; i++)
-        for (uint32_t k = 0; k < s->networks[i].layers; k++) {
+        for (uint32_t k = 0; k < LAYERS(&s->networks[i]); k++) {
             const struct layer *l = &s->networks[i].layer[k];
             few_count += l->raw_at ? 0 : 2 * l->outputs;
             many_count += l->raw_at ? 0 : (uint64_t)l->outputs * l->inputs;
@@ -1538,7 +1556,7 @@ static void DECODE_WEIGHTS(struct scene *s, struct piece p, uint64_t at, uint8_t
     OPEN(&stream, CUT(p, at, p.length - at), s->h.lanes_log2[2]);
     few_count = many_count = 0;
     for (int i = 0; i < NETWORKS; i++)
-        for (uint32_t k = 0; k < s->networks[i].layers; k++) {
+        for (uint32_t k = 0; k < LAYERS(&s->networks[i]); k++) {
             const struct layer *l = &s->networks[i].layer[k];
             if (l->raw_at)
                 continue;
@@ -1551,7 +1569,7 @@ static void DECODE_WEIGHTS(struct scene *s, struct piece p, uint64_t at, uint8_t
     DECODE_VALUES(&stream, GAUSS, many, many_count, WEIGHT_SYMBOL_MAX);
     END(&stream);
     for (int i = 0; i < NETWORKS; i++)
-        for (uint32_t k = 0; k < s->networks[i].layers; k++) {
+        for (uint32_t k = 0; k < LAYERS(&s->networks[i]); k++) {
             const struct layer *l = &s->networks[i].layer[k];
             uint64_t weights = (uint64_t)l->outputs * l->inputs, count = weights + l->outputs;
             if (l->raw_at) {
@@ -1620,7 +1638,7 @@ static void DECODE_PLANE(struct stream *stream, const struct network *sarm, int3
         for (int32_t k = 0; k < channels; k++)
             for (int32_t i = first; i <= last; i++) {
                 const int16_t *y = plane + k * size * size;
-                int32_t j = t - 2 * i, out[2];
+                int32_t j = t - 2 * i, out[2] = {0};
                 int32_t near[4] = {ACTIVATION(AT(y, size, i - 1, j - 1)), ACTIVATION(AT(y, size, i - 1, j)),
                                    ACTIVATION(AT(y, size, i - 1, j + 1)), ACTIVATION(AT(y, size, i, j - 1))};
                 NETWORK(sarm, near, out);
@@ -1785,7 +1803,9 @@ static void READ_INDEX(struct scene *s, struct piece p, int mode, uint64_t data_
 static int64_t POSITION_INTEGER(uint32_t bits)
 {
     uint32_t exponent = bits >> 10 & 31, mantissa = bits & 1023;
-    int64_t p = exponent ? (int64_t)(mantissa + 1024) << (exponent - 1) : (int64_t)mantissa;
+    int64_t p;
+    SURE(exponent < 31);
+    p = exponent ? (int64_t)(mantissa + 1024) << (exponent - 1) : (int64_t)mantissa;
     return bits >> 15 ? -p : p;
 }
 
@@ -1922,7 +1942,7 @@ static void CONTRACT(int64_t v[3])
     if (q <= unit * unit)
         return;
     n = ISQRT(q);
-    SURE(n > 0);
+    SURE(n >= unit && n < INT64_C(1) << 31);
     f = (2 * n - unit) * unit / n;
     for (int r = 0; r < 3; r++)
         v[r] = FLOOR_DIV(v[r] * f, n);
@@ -1947,13 +1967,14 @@ static void QUERY(const int16_t *plane, int32_t channels, int32_t size, const in
     for (int a = 0; a < 2; a++) {
         int32_t g = (int32_t)u[a] * (size - 1);
         int32_t c = g >> UNIT_BITS < size - 2 ? g >> UNIT_BITS : size - 2;
+        SURE(c >= 0);
         cell[a] = c;
         weight[a] = (int32_t)RSHIFT_ROUND(g - (c << UNIT_BITS), UNIT_BITS - LERP_BITS);
     }
     for (int32_t k = 0; k < channels; k++) {
         const int16_t *y = plane + (k * size + cell[1]) * size + cell[0];
-        int32_t fj = weight[0], fi = weight[1], one = 1 << LERP_BITS;
-        int32_t t = y[0] * (one - fj) * (one - fi) + y[1] * fj * (one - fi);
+        int64_t fj = weight[0], fi = weight[1], one = 1 << LERP_BITS;
+        int64_t t = y[0] * (one - fj) * (one - fi) + y[1] * fj * (one - fi);
         t += y[size] * (one - fj) * fi + y[size + 1] * fj * fi;
         out[k] = ACTIVATION(RSHIFT_ROUND(t, 2 * LERP_BITS - plane_shift));
     }
@@ -1970,14 +1991,14 @@ static void GAMMA(int64_t u, uint32_t frequencies, int32_t *out)
     }
 }
 
-/* 7.5: the 2 ch + 2 L inputs of F_h for the anchor with the three f16 p */
-static void CONTEXT(const struct scene *s, const uint16_t *p, int32_t *out)
+/* 7.5: the 2 ch + 2 L inputs of F_h for anchor n of the chunk */
+static void CONTEXT(const struct scene *s, uint64_t n, int32_t *out)
 {
     int32_t channels = s->h.plane_channels, size = (int32_t)s->h.plane_size;
     int64_t position[3], u[3];
-    uint64_t anchor = s->first_anchor + (uint64_t)(p - s->position_bits) / 3;
-    for (int a = 0; a < 3; a++)
-        position[a] = POSITION_INTEGER(p[a]);
+    uint64_t anchor = s->first_anchor + n;
+    for (uint64_t a = 0; a < 3; a++)
+        position[a] = POSITION_INTEGER(s->position_bits[3 * n + a]);
     PROBE_POINT("P", anchor, position);
     if (!channels && !s->h.frequency_count) /* there is no frame */
         return;
@@ -2052,7 +2073,7 @@ static void DECODE_STAGE(struct scene *s, struct stream *stream, uint64_t anchor
 /* 7.9: the outputs of CARM for slice i, which begins at channel `first` */
 static void CHANNEL_CONTEXT(struct scene *s, uint32_t i, uint32_t first, uint64_t anchors)
 {
-    int32_t inputs[FEATURES_MAX];
+    int32_t inputs[FEATURES_MAX] = {0};
     SURE(first <= FEATURES_MAX);
     for (uint64_t n = 0; n < anchors; n++) {
         for (uint32_t k = 0; k < first; k++)
@@ -2076,8 +2097,8 @@ static void DECODE_ATTRIBUTES(struct scene *s, struct piece p, uint64_t anchors)
     struct stream stream;
     OPEN(&stream, p, h->lanes_log2[2]);
     for (uint64_t n = 0; n < anchors; n++) {
-        int32_t context[WIDTH_MAX];
-        CONTEXT(s, s->position_bits + 3 * n, context);
+        int32_t context[WIDTH_MAX] = {0};
+        CONTEXT(s, n, context);
         NETWORK(&s->networks[HYPER], context, s->parameters + n * (2 * d + 3));
         PROBE("means", s->first_anchor + n, s->parameters + n * (2 * d + 3), d);
         PROBE("scales", s->first_anchor + n, s->parameters + n * (2 * d + 3) + d, d);
@@ -2141,6 +2162,7 @@ static int64_t EXPONENTIAL(int64_t t, int *n)
     static const int64_t EXP2[7] = {1073741824, 744260848, 257945537, 59571654, 10398739, 1330132, 234908};
     const int64_t LOG2_E = 1549082005;
     int64_t y = t * LOG2_E, whole = RSHIFT(y, 46), fraction = (y - whole * (INT64_C(1) << 46)) >> 16, m = EXP2[6];
+    SURE(fraction >= 0 && fraction < INT64_C(1) << 30);
     for (int i = 5; i >= 0; i--)
         m = EXP2[i] + (m * fraction >> 30);
     *n = (int)whole - 30;
@@ -2152,20 +2174,23 @@ static int64_t EXPONENTIAL(int64_t t, int *n)
 static uint32_t ADD_F32(uint32_t a, uint32_t b)
 {
     int64_t m, n;
-    int e, d;
+    int e, d, shift;
     SPLIT_F32(a, &m, &e);
     SPLIT_F32(b, &n, &d);
-    if (e - d > 32)
+    shift = e - d;
+    if (shift > 32)
         return a;
-    if (d - e > 32)
+    if (shift < -32)
         return b;
-    return e > d ? ROUND_F32(m * (INT64_C(1) << (e - d)) + n, d) : ROUND_F32(m + n * (INT64_C(1) << (d - e)), e);
+    return shift > 0 ? ROUND_F32(m * (INT64_C(1) << shift) + n, d) : ROUND_F32(m + n * (INT64_C(1) << -shift), e);
 }
 
 /* 9.2: the value of a channel of kind a of anchor n of the chunk */
 static uint32_t CHANNEL(const struct scene *s, uint64_t n, int a, uint32_t channel)
 {
-    return VALUE(s->symbols[n * s->h.channels + channel], s->step[a][s->step_index[3 * n + (uint64_t)a]]);
+    uint8_t index = s->step_index[3 * n + (uint64_t)a];
+    SURE(index < STEP_LENGTH);
+    return VALUE(s->symbols[n * s->h.channels + channel], s->step[a][index]);
 }
 
 /* 9.3, 9.4: the Gaussians of anchor n of the chunk. By the bounds of 6.2, 6.4 and 9.4 all numbers are normal or zero: a
@@ -2174,8 +2199,9 @@ static void SPLAT(struct scene *s, uint64_t n)
 {
     const struct header *h = &s->h;
     const uint8_t *mask = s->masks + n * h->offset_count;
-    int32_t inputs[FEATURES_MAX], opacity[OFFSETS_MAX], covariance[7 * OFFSETS_MAX], colour[COLOURS_MAX * OFFSETS_MAX];
-    uint8_t numbers[4 * (11 + COLOURS_MAX) * OFFSETS_MAX], *out = numbers;
+    int32_t inputs[FEATURES_MAX] = {0}, opacity[OFFSETS_MAX] = {0}, covariance[7 * OFFSETS_MAX] = {0};
+    int32_t colour[COLOURS_MAX * OFFSETS_MAX] = {0};
+    uint8_t numbers[4 * (11 + COLOURS_MAX) * OFFSETS_MAX] = {0}, *out = numbers;
     int64_t scaling[6], m[3];
     int e[3];
     for (uint32_t i = 0; i < h->features; i++)

@@ -88,7 +88,7 @@ static struct layers JOIN(const struct network *n, int first, int last)
     uint64_t count = WEIGHT_COUNT(n, first, last), rows = 0, weights = 0, layers = 0;
     struct layers all = {BLOCK(2 * count, 4), BLOCK(count, 4), BLOCK(count, 2), BLOCK(count, 1)};
     for (int i = first; i < last; i++)
-        for (uint32_t k = 0; k < n[i].layers; k++) {
+        for (uint32_t k = 0; k < LAYERS(&n[i]); k++) {
             const struct layer *l = &n[i].layer[k];
             uint64_t own = (uint64_t)l->outputs * l->inputs;
             all.shape[2 * layers] = (int32_t)l->outputs;
@@ -178,7 +178,7 @@ static void KERNEL_WEIGHTS(struct scene *s, struct piece p)
     scale = BLOCK(2 * WEIGHT_COUNT(s->networks, 0, NETWORKS), 1);
     for (int kind = 0; kind < 2; kind++)
         for (int i = 0; i < NETWORKS; i++)
-            for (uint32_t k = 0; k < s->networks[i].layers; k++) {
+            for (uint32_t k = 0; k < LAYERS(&s->networks[i]); k++) {
                 const struct layer *l = &s->networks[i].layer[k];
                 uint64_t count = l->raw_at ? 0 : kind ? (uint64_t)l->outputs * l->inputs : 2 * l->outputs;
                 for (uint64_t n = 0; n < count; n++)

@@ -84,8 +84,8 @@ def run(hours: float, state: Path, seeds: Path) -> int:
                 log.write(line)
                 if _COVERED.search(line) and not line.rstrip().endswith("-"):
                     print(line.rstrip()[:110], file=sys.stderr)
-            child.wait()
-        return _report(state, time.time() - began)
+            status = child.wait()
+        return _report(state, time.time() - began, status)
 
 
 def minimise(state: Path) -> None:
@@ -103,8 +103,8 @@ def minimise(state: Path) -> None:
         new.rename(old)
 
 
-def _report(state: Path, seconds: float) -> int:
-    """Prints what all runs of a folder found; returns 1 if an input failed."""
+def _report(state: Path, seconds: float, status: int) -> int:
+    """Prints what all runs of a folder found; returns 1 if an input failed, or the last run. status: of that run."""
     log = (state / "log.txt").read_text()
     spent_file = state / "seconds.txt"
     spent = seconds + (float(spent_file.read_text()) if spent_file.exists() else 0)
@@ -117,4 +117,6 @@ def _report(state: Path, seconds: float) -> int:
         print(f"{covered[-1][1]} edges of the code reached, {covered[-1][3]} inputs kept in {state / 'corpus'}")
     for path in failed:
         print(f"{path}: see the end of {state / 'log.txt'}; to run it: {state / 'fuzz'} {path}")
-    return 1 if failed else 0
+    if status:
+        print(f"the program ended with status {status}: see the end of {state / 'log.txt'}")
+    return 1 if failed or status else 0
