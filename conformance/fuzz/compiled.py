@@ -27,6 +27,8 @@ FLAGS = ["-std=gnu11", "-g", "-ffp-contract=off", "-fno-math-errno", "-DKERNEL_T
 SANITIZERS = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
 # Bytes of an input, seconds of one input, and MiB of memory. Larger files only take longer.
 LIMITS = ["-max_len=65536", "-timeout=300", "-rss_limit_mb=2048"]
+# Of libFuzzer after SIGINT.
+_INTERRUPTED = 72
 _FAILED = re.compile(r"(crash|leak|oom|timeout)-[0-9a-f]{40}")
 _EXECUTED = re.compile(r"stat::number_of_executed_units: *(\d+)")
 _COVERED = re.compile(r"cov: (\d+) ft: (\d+) corp: (\d+)")
@@ -117,6 +119,8 @@ def _report(state: Path, seconds: float, status: int) -> int:
         print(f"{covered[-1][1]} edges of the code reached, {covered[-1][3]} inputs kept in {state / 'corpus'}")
     for path in failed:
         print(f"{path}: see the end of {state / 'log.txt'}; to run it: {state / 'fuzz'} {path}")
+    if status == _INTERRUPTED:
+        status = 0
     if status:
         print(f"the program ended with status {status}: see the end of {state / 'log.txt'}")
     return 1 if failed or status else 0
