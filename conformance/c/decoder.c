@@ -95,7 +95,8 @@ enum {
     PLANE_TABLE_LENGTH = 20,
     POSITION_MODEL_LENGTH = 580,
     CHUNK_ENTRY_LENGTH = 28,
-    CHUNK_HEAD_LENGTH = 16
+    CHUNK_HEAD_LENGTH = 16,
+    SECTIONS_MAX = HEADER_LENGTH_MAX / DIRECTORY_ENTRY_LENGTH
 };
 #define SECTION_LENGTH_MAX (UINT64_C(1) << 48)
 #define ORIGIN_BOUND (INT64_C(1) << 62)
@@ -149,11 +150,10 @@ enum { STATUS_REFUSED = 1, STATUS_UNSUPPORTED = 2, STATUS_USAGE = 64 };
 
 /* ---------------------------------------------------------------- memory, input and output */
 
-/* All allocated memory is in one ring, so that every exit can release it. */
-struct block {
-    struct block *before, *next; /* two pointers: what follows is aligned as they are */
-};
-static struct block blocks = {&blocks, &blocks};
+/* All allocated memory, so that every exit can release it. BLOCKS_MAX is more than a file needs: three blocks for each of
+   57 layers, and about 30 others. */
+enum { BLOCKS_MAX = 256 };
+static void *blocks[BLOCKS_MAX]; /* or null pointers */
 
 static FILE *input, *output; /* null pointers if they are not open */
 static char *place, *beside; /* where the output will be, and where it is until it is whole; or null pointers */
@@ -162,12 +162,10 @@ static uint64_t input_at;     /* the bytes that were read of the file */
 /* not of the specification */
 static void RELEASE_BLOCKS(void)
 {
-    while (blocks.next != &blocks) {
-        struct block *b = blocks.next;
-        blocks.next = b->next;
-        free(b);
+    for (int i = 0; i < BLOCKS_MAX; i++) {
+        free(blocks[i]);
+        blocks[i] = NULL;
     }
-    blocks.before = &blocks;
 }
 
 /* not of the specification: releases all that the program holds, and removes an output that is not whole */
@@ -194,11 +192,15 @@ _Noreturn static void FAIL(const char *message)
     exit(STATUS_USAGE);
 }
 
+/* not of the specification: says again what earlier checks give, where an access or an operation depends on it. So a mistake
+   in them is no undefined behaviour. */
+#define SURE(condition) ((condition) ? (void)0 : FAIL("a check is missing: please report this file"))
+
 /* 10.1, 10.2: the first error ends the decoding */
 _Noreturn static void REFUSE(enum error code, uint64_t offset)
 {
     size_t i = 0, dot = 0;
-    while (registry[i].code != code)
+    while (i + 1 < sizeof registry / sizeof *registry && registry[i].code != code)
         i++;
     fprintf(stderr, "{\"code\": %d, \"name\": \"", (int)code);
     for (const char *c = registry[i].name; *c; c++)
@@ -208,36 +210,28 @@ _Noreturn static void REFUSE(enum error code, uint64_t offset)
     exit(registry[i].class == UNSUPPORTED ? STATUS_UNSUPPORTED : STATUS_REFUSED);
 }
 
-/* 13.1: makes a block, or gives one another size. Callers have checked the size against the file or the level. */
-static void *RESIZE(void *p, uint64_t bytes)
-{
-    struct block *b = NULL;
-    if (bytes <= SIZE_MAX - sizeof *b)
-        b = realloc(p ? (struct block *)p - 1 : NULL, sizeof *b + (size_t)bytes);
-    if (!b)
-        FAIL("out of memory");
-    if (!p) {
-        b->before = &blocks;
-        b->next = blocks.next;
-    }
-    b->before->next = b->next->before = b;
-    return b + 1;
-}
-
-/* 13.1: a block of zeros */
+/* 13.1: a block of zeros. Callers have checked the size against the file or the level: count < 2^32, size < 2^16. */
 static void *ALLOCATE(uint64_t count, uint64_t size)
 {
-    uint64_t bytes = count * size; /* count < 2^32, size < 2^16 */
-    return memset(RESIZE(NULL, bytes), 0, (size_t)bytes);
+    uint64_t bytes = count * size;
+    int i = 0;
+    while (i < BLOCKS_MAX && blocks[i])
+        i++;
+    SURE(i < BLOCKS_MAX);
+    if (bytes <= SIZE_MAX)
+        blocks[i] = calloc(bytes ? (size_t)bytes : 1, 1);
+    if (!blocks[i])
+        FAIL("out of memory");
+    return blocks[i];
 }
 
 /* 13.1 */
 static void FREE(void *p)
 {
-    struct block *b = (struct block *)p - 1;
-    b->before->next = b->next;
-    b->next->before = b->before;
-    free(b);
+    for (int i = 0; i < BLOCKS_MAX; i++)
+        if (blocks[i] == p)
+            blocks[i] = NULL;
+    free(p);
 }
 
 struct buffer { /* room for bytes of the file; data is a block */
@@ -258,7 +252,12 @@ static struct piece READ(struct buffer *b, uint64_t n)
     for (;;) {
         uint64_t room = p.length ? 2 * p.length : 1 << 16, got;
         if (b->room < room) {
-            b->data = RESIZE(b->data, room);
+            uint8_t *data = ALLOCATE(room, 1);
+            if (b->data) {
+                memcpy(data, b->data, (size_t)p.length);
+                FREE(b->data);
+            }
+            b->data = data;
             b->room = room;
         }
         p.data = b->data;
@@ -316,7 +315,7 @@ static int64_t GET_I32(const uint8_t *p)
 static int64_t GET_I64(const uint8_t *p)
 {
     uint64_t v = GET_U64(p);
-    return v >> 63 ? -(int64_t)(~v) - 1 : (int64_t)v;
+    return v <= INT64_MAX ? (int64_t)v : -(int64_t)(~v) - 1;
 }
 
 /* 9.3: little-endian, as 2.3 */
@@ -398,11 +397,11 @@ static int64_t ROUND_SCALED(uint32_t x, int e)
 /* 2.4: the bits of the f32, for |n| < 2^63. The result is normal or zero. */
 static uint32_t ROUND_F32(int64_t n, int e)
 {
-    uint64_t a = n < 0 ? (uint64_t)-n : (uint64_t)n, m = a;
-    int s = 0;
+    uint64_t a = n < 0 ? 0 - (uint64_t)n : (uint64_t)n, m = a;
+    int s = 0, zeros = 0;
     if (!a)
         return 0;
-    while (a >> s >> 24)
+    while (s < 40 && a >> s >> 24)
         s++;
     if (s) {
         m = (a + (UINT64_C(1) << (s - 1))) >> s;
@@ -410,10 +409,14 @@ static uint32_t ROUND_F32(int64_t n, int e)
             m &= ~UINT64_C(1);
     }
     e += s;
-    for (; m < UINT64_C(1) << 23; m <<= 1)
-        e--;
-    for (; m >= UINT64_C(1) << 24; m >>= 1) /* only 2^24, after a carry */
+    while (zeros < 23 && m << zeros < UINT64_C(1) << 23)
+        zeros++;
+    m <<= zeros;
+    e -= zeros;
+    if (m >= UINT64_C(1) << 24) { /* only 2^24, after a carry */
+        m >>= 1;
         e++;
+    }
     return (n < 0 ? UINT32_C(1) << 31 : 0) | (uint32_t)(e + 150) << 23 | ((uint32_t)m & 0x7FFFFF);
 }
 
@@ -465,8 +468,8 @@ static void SHA_START(struct sha256 *s)
 {
     static const uint32_t h[8] = {
         0x6a09e667, 0xbb67ae85, 0x3c6ef372, 0xa54ff53a, 0x510e527f, 0x9b05688c, 0x1f83d9ab, 0x5be0cd19};
+    memset(s, 0, sizeof *s);
     memcpy(s->h, h, sizeof h);
-    s->length = 0;
 }
 
 /* 9.3 */
@@ -529,7 +532,7 @@ static const char *HEX(const uint8_t digest[32])
 /* ---------------------------------------------------------------- Annex A tables */
 
 struct model { /* 8.4 */
-    int radius;
+    uint8_t radius;
     uint16_t frequency[2 * 255 + 2];
 };
 typedef struct model family[SCALE_END - SCALE_MIN][FRACTIONS];
@@ -542,7 +545,7 @@ static family GAUSS, LAPLACE;
 static void READ_TABLES(const uint8_t *data, uint64_t length)
 {
     struct sha256 s;
-    uint8_t digest[32];
+    uint8_t digest[32] = {0};
     SHA_START(&s);
     SHA_ADD(&s, data, length);
     SHA_END(&s, digest);
@@ -558,10 +561,11 @@ static void READ_TABLES(const uint8_t *data, uint64_t length)
         for (int row = 0; row < SCALE_END - SCALE_MIN; row++)
             for (int column = 0; column < FRACTIONS; column++) {
                 struct model *m = f ? &LAPLACE[row][column] : &GAUSS[row][column];
+                int radius = data[0];
                 m->radius = data[0];
-                for (int j = 0; j < 2 * m->radius + 2; j++)
+                for (int j = 0; j < 2 * radius + 2; j++)
                     m->frequency[j] = (uint16_t)GET_U16(data + 1 + 2 * j);
-                data += 1 + 2 * (2 * m->radius + 2);
+                data += 1 + 2 * (2 * radius + 2);
             }
 }
 
@@ -574,7 +578,7 @@ struct entry { /* 5.6; `at` is the offset of the entry */
     uint64_t at, length;
     uint32_t crc;
     enum section section;
-    uint8_t type[4], mode, reserved[3];
+    uint8_t type[4], mode;
 };
 
 struct list { /* 5.3: some widths of `size` bytes each; `at` is the offset of the first */
@@ -634,7 +638,7 @@ struct header {
     struct list hyper_width, sarm_width, carm_width, slice_width;
     uint8_t *drawn; /* 9.3: the bytes of RenderInfo and of Dimensions */
     uint64_t drawn_length;
-    struct entry *directory;
+    struct entry directory[SECTIONS_MAX];
     uint32_t features, channels; /* F and D of 6.3 */
 };
 
@@ -677,46 +681,48 @@ static void TAKE_LIST(struct piece p, uint64_t *at, struct list *l, uint8_t size
         l->item[i] = size == 1 ? item[i] : (uint16_t)GET_U16(item + 2 * i);
 }
 
+/* 5.2: where the field at an offset of the file is in the array of the fixed fields */
+#define FIELD(at) (f + ((at) - PROLOGUE_LENGTH))
+
 /* 5.2 to 5.6, 6.2: R6.2-1 to R6.2-5 */
 static void HEADER_FIELDS(struct header *h, struct buffer *b)
 {
     struct piece p = READ(b, h->length);
     uint64_t at = PROLOGUE_LENGTH, padding_at, padding;
-    const uint8_t *f;
+    uint8_t f[FIXED_LENGTH]; /* as 5.2 to 5.5 have them */
     if (p.length < h->length)
         REFUSE(HEADER_TRUNCATED, input_at);
     if (GET_U32(p.data + p.length - 4) != CRC32(0, p.data, p.length - 4))
         REFUSE(HEADER_CRC, p.at + p.length - 4);
-    /* The fixed fields, as 5.2 to 5.5 have them. f is the byte 0 of the file, as it were. */
-    f = TAKE(p, &at, FIXED_LENGTH) - PROLOGUE_LENGTH;
-    h->profile = f[AT_PROFILE];
-    h->level = f[AT_LEVEL];
-    h->section_count = GET_U16(f + AT_SECTION_COUNT);
-    h->anchor_count = GET_U32(f + AT_ANCHOR_COUNT);
-    h->chunk_count = GET_U32(f + AT_CHUNK_COUNT);
-    h->chunk_size = GET_U32(f + AT_CHUNK_SIZE);
-    memcpy(h->lanes_log2, f + AT_LANES, 3);
+    memcpy(f, TAKE(p, &at, FIXED_LENGTH), FIXED_LENGTH);
+    h->profile = *FIELD(AT_PROFILE);
+    h->level = *FIELD(AT_LEVEL);
+    h->section_count = GET_U16(FIELD(AT_SECTION_COUNT));
+    h->anchor_count = GET_U32(FIELD(AT_ANCHOR_COUNT));
+    h->chunk_count = GET_U32(FIELD(AT_CHUNK_COUNT));
+    h->chunk_size = GET_U32(FIELD(AT_CHUNK_SIZE));
+    memcpy(h->lanes_log2, FIELD(AT_LANES), 3);
     for (int a = 0; a < 3; a++) {
-        h->base_step[a] = GET_U32(f + AT_BASE_STEP + 4 * a);
-        h->origin[a] = GET_I64(f + AT_ORIGIN + 8 * a);
+        h->base_step[a] = GET_U32(FIELD(AT_BASE_STEP) + 4 * a);
+        h->origin[a] = GET_I64(FIELD(AT_ORIGIN) + 8 * a);
     }
-    h->scale_mantissa = GET_U16(f + AT_SCALE_MANTISSA);
-    h->scale_exponent = f[AT_SCALE_EXPONENT] < 128 ? f[AT_SCALE_EXPONENT] : f[AT_SCALE_EXPONENT] - 256;
-    h->up_axis = f[AT_UP_AXIS];
+    h->scale_mantissa = GET_U16(FIELD(AT_SCALE_MANTISSA));
+    h->scale_exponent = *FIELD(AT_SCALE_EXPONENT) < 128 ? *FIELD(AT_SCALE_EXPONENT) : *FIELD(AT_SCALE_EXPONENT) - 256;
+    h->up_axis = *FIELD(AT_UP_AXIS);
     for (int i = 0; i < 4; i++)
-        h->render[i] = GET_U32(f + AT_RENDER_NUMBERS + 4 * i);
-    h->render_model = f[AT_RENDER_MODEL];
-    h->offset_count = f[AT_OFFSET_COUNT];
-    h->plane_channels = f[AT_PLANE_CHANNELS];
-    h->frequency_count = f[AT_FREQUENCY_COUNT];
-    h->slice_width.count = f[AT_SLICE_COUNT];
-    h->hyper_width.count = f[AT_HYPER_LAYERS];
-    h->sarm_width.count = f[AT_SARM_LAYERS];
-    h->carm_width.count = f[AT_CARM_LAYERS];
-    h->view_inputs = f[AT_VIEW_INPUTS];
-    h->colour_outputs = f[AT_COLOUR_OUTPUTS];
-    h->plane_size = GET_U16(f + AT_PLANE_SIZE);
-    h->render_width = (uint16_t)GET_U16(f + AT_RENDER_WIDTH);
+        h->render[i] = GET_U32(FIELD(AT_RENDER_NUMBERS) + 4 * i);
+    h->render_model = *FIELD(AT_RENDER_MODEL);
+    h->offset_count = *FIELD(AT_OFFSET_COUNT);
+    h->plane_channels = *FIELD(AT_PLANE_CHANNELS);
+    h->frequency_count = *FIELD(AT_FREQUENCY_COUNT);
+    h->slice_width.count = *FIELD(AT_SLICE_COUNT);
+    h->hyper_width.count = *FIELD(AT_HYPER_LAYERS);
+    h->sarm_width.count = *FIELD(AT_SARM_LAYERS);
+    h->carm_width.count = *FIELD(AT_CARM_LAYERS);
+    h->view_inputs = *FIELD(AT_VIEW_INPUTS);
+    h->colour_outputs = *FIELD(AT_COLOUR_OUTPUTS);
+    h->plane_size = GET_U16(FIELD(AT_PLANE_SIZE));
+    h->render_width = (uint16_t)GET_U16(FIELD(AT_RENDER_WIDTH));
     TAKE_LIST(p, &at, &h->hyper_width, 2);
     TAKE_LIST(p, &at, &h->sarm_width, 2);
     TAKE_LIST(p, &at, &h->carm_width, 2);
@@ -731,27 +737,29 @@ static void HEADER_FIELDS(struct header *h, struct buffer *b)
         REFUSE(HEADER_SYNTAX, at);
     if (!ZERO(p, padding_at - p.at, padding_at - p.at + padding))
         REFUSE(HEADER_PADDING, padding_at);
-    if (f[AT_RESERVED])
+    if (*FIELD(AT_RESERVED))
         REFUSE(HEADER_RESERVED, AT_RESERVED);
-    if (f[AT_GRID_RESERVED])
+    if (*FIELD(AT_GRID_RESERVED))
         REFUSE(HEADER_RESERVED, AT_GRID_RESERVED);
-    if (f[AT_RENDER_RESERVED])
+    if (*FIELD(AT_RENDER_RESERVED))
         REFUSE(HEADER_RESERVED, AT_RENDER_RESERVED);
-    if (f[AT_DIMENSIONS_RESERVED])
+    if (*FIELD(AT_DIMENSIONS_RESERVED))
         REFUSE(HEADER_RESERVED, AT_DIMENSIONS_RESERVED);
     h->drawn = ALLOCATE(h->drawn_length, 1);
-    memcpy(h->drawn, f + AT_RENDER_INFO, (size_t)h->drawn_length);
-    h->directory = ALLOCATE(h->section_count, sizeof *h->directory);
+    memcpy(h->drawn, p.data + (AT_RENDER_INFO - p.at), (size_t)h->drawn_length);
+    SURE(h->section_count <= SECTIONS_MAX);
     for (uint32_t i = 0; i < h->section_count; i++) {
         struct entry *e = &h->directory[i];
-        e->at = padding_at + padding + DIRECTORY_ENTRY_LENGTH * (uint64_t)i;
-        f = p.data + (e->at - p.at);
-        memcpy(e->type, f, 4);
-        e->mode = f[4];
-        e->length = GET_U64(f + 8);
-        e->crc = GET_U32(f + 16);
-        if (f[5] || f[6] || f[7])
-            REFUSE(HEADER_RESERVED, e->at + 5);
+        uint64_t entry_at = padding_at + padding + DIRECTORY_ENTRY_LENGTH * (uint64_t)i;
+        uint8_t d[DIRECTORY_ENTRY_LENGTH];
+        memcpy(d, p.data + (entry_at - p.at), sizeof d);
+        e->at = entry_at;
+        memcpy(e->type, d, 4);
+        e->mode = d[4];
+        e->length = GET_U64(d + 8);
+        e->crc = GET_U32(d + 16);
+        if (d[5] || d[6] || d[7])
+            REFUSE(HEADER_RESERVED, entry_at + 5);
     }
 }
 
@@ -817,6 +825,10 @@ static void DIMENSIONS(struct header *h, const struct bounds b[15])
     if (h->render_model == STATIC && h->colour_outputs != 3 && h->colour_outputs != 12 && h->colour_outputs != 27 &&
         h->colour_outputs != 48)
         REFUSE(HEADER_DIMENSION, AT_COLOUR_OUTPUTS);
+    SURE(h->offset_count >= 1 && h->offset_count <= OFFSETS_MAX && h->plane_channels <= 16 &&
+         h->frequency_count <= 16 && h->slice_width.count >= 1 && h->slice_width.count <= SLICES_MAX &&
+         h->view_inputs <= 8 && h->colour_outputs >= 1 && h->colour_outputs <= COLOURS_MAX && h->plane_size <= 1024 &&
+         h->render_width <= 128 && h->features <= FEATURES_MAX);
 }
 
 /* ---------------------------------------------------------------- 5.8, 7.2 networks */
@@ -828,25 +840,39 @@ struct layer {
     int16_t *weight; /* row by row */
     int32_t *bias;
     uint8_t *exponent;
-    const uint8_t *model; /* in mode 1 its LayerModel (5.9) */
-    const uint8_t *raw;   /* in mode 1 its values, if it is raw */
+    uint8_t model[LAYER_MODEL_LENGTH]; /* in mode 1, 5.9 */
+    uint64_t model_at;                 /* where that is in the section, or 0 in mode 0 */
+    uint64_t raw_at;                   /* where its values are in the section, if it is raw in mode 1, or 0 */
 };
 
 struct network {
-    uint32_t layers;
-    struct layer layer[LAYERS_MAX];
+    struct layer layer[LAYERS_MAX]; /* those after the last one have no outputs */
 };
 
 enum { HYPER, SARM, CARM_1, OPACITY = CARM_1 + CARM_MAX, COVARIANCE, COLOUR, NETWORKS };
 
+/* 5.8: the number of layers */
+static uint32_t LAYERS(const struct network *n)
+{
+    uint32_t count = 0;
+    while (count < LAYERS_MAX && n->layer[count].outputs)
+        count++;
+    return count;
+}
+
 /* 5.8: the shape of one network */
 static void SHAPE(struct network *n, uint32_t inputs, const struct list *hidden, uint32_t outputs)
 {
-    n->layers = hidden->count + 1u;
-    for (uint32_t i = 0; i < n->layers; i++) {
+    uint32_t count = hidden->count;
+    SURE(count < LAYERS_MAX);
+    for (uint32_t i = 0; i < count; i++) {
+        uint32_t width = hidden->item[i];
+        SURE(width <= WIDTH_MAX);
         n->layer[i].inputs = inputs;
-        n->layer[i].outputs = inputs = i < hidden->count ? hidden->item[i] : outputs;
+        n->layer[i].outputs = inputs = width;
     }
+    n->layer[count].inputs = inputs;
+    n->layer[count].outputs = outputs;
 }
 
 /* 5.8: the shapes of all networks. Networks that are not present have no layers. */
@@ -871,7 +897,7 @@ static uint64_t WEIGHT_COUNT(const struct network *n, int first, int end)
 {
     uint64_t count = 0;
     for (int i = first; i < end; i++)
-        for (uint32_t l = 0; l < n[i].layers; l++)
+        for (uint32_t l = 0; l < LAYERS(&n[i]); l++)
             count += (uint64_t)n[i].layer[l].outputs * (n[i].layer[l].inputs + 1);
     return count;
 }
@@ -971,7 +997,7 @@ static void DIRECTORY(struct header *h, const struct network *networks)
     static const char types[CRITICAL][5] = {"FRAM", "WGTS", "PLNS", "INDX", "DATA"};
     struct entry *d = h->directory;
     uint64_t k = h->offset_count, inputs = h->features - h->slice_width.item[h->slice_width.count - 1];
-    int wanted[CRITICAL], next = 0, count = 0;
+    int wanted[CRITICAL] = {0}, next = 0, count = 0;
     for (int i = 0; i < CRITICAL; i++)
         if ((i != FRAM || h->plane_channels || h->frequency_count) && (i != PLNS || h->plane_channels))
             wanted[count++] = i;
@@ -990,7 +1016,7 @@ static void DIRECTORY(struct header *h, const struct network *networks)
         d[i].section = (enum section)section;
     }
     for (uint32_t i = 0; i < h->section_count; i++)
-        if (d[i].section != ANCILLARY && (next == count || wanted[next++] != (int)d[i].section))
+        if (d[i].section != ANCILLARY && (next >= count || wanted[next++] != (int)d[i].section))
             REFUSE(DIRECTORY_ORDER, d[i].at);
     if (next < count)
         REFUSE(DIRECTORY_ORDER, AT_SECTION_COUNT);
@@ -1053,16 +1079,18 @@ static void SKIP_SECTION(const struct entry *e, struct buffer *b)
 static int DERIVE_ROW(const uint8_t *weights, uint32_t bias, struct layer *l, uint32_t row)
 {
     for (int e = EXPONENT_MAX; e >= 0; e--) {
-        int64_t sum = 0, b = ROUND_SCALED(bias, e); /* |b| < 2^54, and sum is below 2^8 * 2^10 */
+        int64_t b = ROUND_SCALED(bias, e); /* |b| < 2^54 */
+        uint64_t sum = 0;                  /* below 2^8 * 2^10 */
         uint32_t i;
         for (i = 0; i < l->inputs; i++) {
             int64_t w = ROUND_SCALED(GET_U32(weights + 4 * i), e);
             if (MAGNITUDE(w) > WEIGHT_MAX)
                 break;
-            sum += MAGNITUDE(w);
+            sum += (uint64_t)MAGNITUDE(w);
             l->weight[row * l->inputs + i] = (int16_t)w;
         }
-        if (i == l->inputs && sum * ACTIVATION_MAX + MAGNITUDE(b) + ((INT64_C(1) << e) >> 1) < ACCUMULATOR_BOUND) {
+        sum = sum * ACTIVATION_MAX + (uint64_t)MAGNITUDE(b) + ((UINT64_C(1) << e) >> 1);
+        if (i == l->inputs && sum < ACCUMULATOR_BOUND) {
             l->bias[row] = (int32_t)b;
             l->exponent[row] = (uint8_t)e;
             return 1;
@@ -1077,7 +1105,7 @@ static void DERIVE_NETWORKS(struct network *n, int end, const uint8_t *values, s
 {
     uint64_t v = 0;
     for (int i = 0; i < end; i++)
-        for (uint32_t k = 0; k < n[i].layers; k++) {
+        for (uint32_t k = 0; k < LAYERS(&n[i]); k++) {
             struct layer *l = &n[i].layer[k];
             uint64_t biases = v + 4 * (uint64_t)l->outputs * l->inputs;
             l->weight = ALLOCATE((uint64_t)l->outputs * l->inputs, sizeof *l->weight);
@@ -1087,7 +1115,7 @@ static void DERIVE_NETWORKS(struct network *n, int end, const uint8_t *values, s
                 uint64_t row = v + 4 * (uint64_t)r * l->inputs;
                 uint64_t named = l->inputs ? row : biases + 4 * (uint64_t)r; /* a row without weights has its bias */
                 if (!DERIVE_ROW(values + row, GET_U32(values + biases + 4 * r), l, r))
-                    REFUSE(WEIGHTS_BOUND, p.at + (l->model ? (uint64_t)(l->model - p.data) : values_at + named));
+                    REFUSE(WEIGHTS_BOUND, p.at + (l->model_at ? l->model_at : values_at + named));
             }
             v = biases + 4 * (uint64_t)l->outputs;
         }
@@ -1099,19 +1127,24 @@ static int32_t ACTIVATION(int64_t a) { return (int32_t)CLAMP(a, -ACTIVATION_MAX,
 /* 7.2: accumulators stay below ACCUMULATOR_BOUND, so 32 bits hold them */
 static void NETWORK(const struct network *n, const int32_t *inputs, int32_t *outputs)
 {
-    int32_t a[2][WIDTH_MAX];
-    for (uint32_t k = 0; k < n->layers; k++) {
+    int32_t a[2][WIDTH_MAX]; /* of hidden layers */
+    uint32_t layers = LAYERS(n);
+    for (uint32_t k = 0; k < layers; k++) {
         const struct layer *l = &n->layer[k];
-        int last = k + 1 == n->layers;
+        int last = k + 1 == layers;
         int32_t *out = last ? outputs : a[k & 1];
         for (uint32_t r = 0; r < l->outputs; r++) {
             const int16_t *w = l->weight + r * l->inputs;
             int32_t sum = l->bias[r];
+            uint8_t exponent = l->exponent[r];
             for (uint32_t i = 0; i < l->inputs; i++)
                 sum += w[i] * inputs[i];
-            sum = (int32_t)RSHIFT_ROUND(sum, l->exponent[r]);
+            SURE(sum > -ACCUMULATOR_BOUND && sum < ACCUMULATOR_BOUND && exponent <= EXPONENT_MAX);
+            sum = (int32_t)RSHIFT_ROUND(sum, exponent);
             out[r] = last ? sum : (int32_t)CLAMP(sum, 0, ACTIVATION_MAX);
         }
+        if (last)
+            return;
         inputs = out;
     }
 }
@@ -1130,8 +1163,9 @@ struct stream {
 /* 8.1, 5.15 */
 static void OPEN(struct stream *s, struct piece p, unsigned lanes_log2)
 {
-    uint32_t lanes = UINT32_C(1) << lanes_log2;
+    uint32_t lanes = UINT32_C(1) << (lanes_log2 & 15); /* LANES_LOG2_MAX at most */
     uint64_t words_at = 8 + 4 * (uint64_t)lanes, raw_at;
+    SURE(lanes <= LANES_MAX);
     if (p.length < words_at)
         REFUSE(SUBSTREAM_LENGTH, p.at);
     memset(s, 0, sizeof *s);
@@ -1175,12 +1209,16 @@ static void NOTE_SYMBOL(struct stream *s, int32_t value)
     s->symbol_crc = CRC32(s->symbol_crc, b, 4);
 }
 
-/* 8.5: for |mean| and |scale| below 2^25 */
+/* 8.5: |mean| and |scale| are below 2^25, because they are sums of two numbers below ACCUMULATOR_BOUND. */
+enum { NUMBER_BOUND = 2 * ACCUMULATOR_BOUND };
 static const struct model *SELECT(family f, int32_t mean, int32_t scale, int32_t *centre, unsigned *raw_bits)
 {
-    unsigned k = (unsigned)CLAMP(RSHIFT(scale - 24, 3) + 1, 0, RAW_MAX);
-    int32_t row = (int32_t)CLAMP(scale - 8 * (int32_t)k, SCALE_MIN, SCALE_END - 1);
-    int32_t h = (int32_t)RSHIFT_ROUND(mean - 8 * ((INT32_C(1) << k) - 1), k) + 8;
+    unsigned k;
+    int32_t row, h;
+    SURE(mean > -NUMBER_BOUND && mean < NUMBER_BOUND && scale > -NUMBER_BOUND && scale < NUMBER_BOUND);
+    k = (unsigned)CLAMP(RSHIFT(scale - 24, 3) + 1, 0, RAW_MAX);
+    row = (int32_t)CLAMP(scale - 8 * (int32_t)k, SCALE_MIN, SCALE_END - 1);
+    h = (int32_t)RSHIFT_ROUND(mean - 8 * ((INT32_C(1) << k) - 1), k) + 8;
     *centre = (int32_t)RSHIFT(h, 4);
     *raw_bits = k;
     return &f[row - SCALE_MIN][h & 15];
@@ -1208,6 +1246,7 @@ static int32_t READ_ESCAPE(struct stream *s, int32_t radius)
         s->bad_escape = 1;
     else
         n = (int32_t)((UINT32_C(1) << z) + READ_BITS(s, z));
+    SURE(n > 0 && n < 1 << (ESCAPE_PREFIX_MAX + 1));
     return negative ? -(radius + n) : radius + n;
 }
 
@@ -1373,30 +1412,36 @@ struct scene {
 static void FRAME(struct scene *s, struct piece p)
 {
     struct frame *f = &s->frame;
-    if (p.data[63])
+    uint8_t d[FRAME_LENGTH];
+    memcpy(d, p.data, sizeof d);
+    if (d[63])
         REFUSE(FRAME_RESERVED, p.at + 63);
     for (uint32_t i = 0; i < 9; i++) {
-        f->matrix[i] = GET_I32(p.data + 4 * i);
-        if (MAGNITUDE(f->matrix[i]) >= MATRIX_BOUND)
+        int64_t v = GET_I32(d + 4 * i);
+        if (v <= -MATRIX_BOUND || v >= MATRIX_BOUND)
             REFUSE(FRAME_RANGE, p.at + 4 * i);
+        f->matrix[i] = v;
     }
     for (uint32_t i = 0; i < 3; i++) {
-        f->translation[i] = GET_I64(p.data + 36 + 8 * i);
-        if (f->translation[i] <= -TRANSLATION_BOUND || f->translation[i] >= TRANSLATION_BOUND)
+        int64_t v = GET_I64(d + 36 + 8 * i);
+        if (v <= -TRANSLATION_BOUND || v >= TRANSLATION_BOUND)
             REFUSE(FRAME_RANGE, p.at + 36 + 8 * i);
+        f->translation[i] = v;
     }
     for (uint32_t i = 0; i < 3; i++) {
-        f->shift[i] = p.data[60 + i];
-        if (f->shift[i] > FRAME_SHIFT_MAX)
+        unsigned v = d[60 + i];
+        if (v > FRAME_SHIFT_MAX)
             REFUSE(FRAME_RANGE, p.at + 60 + i);
+        f->shift[i] = v;
     }
     for (uint32_t i = 0; i < 3; i++) {
-        f->low[i] = GET_I32(p.data + 64 + 4 * i);
-        f->high[i] = GET_I32(p.data + 76 + 4 * i);
-        if (f->low[i] < -FRAME_RANGE_BOUND || f->low[i] >= FRAME_RANGE_BOUND)
+        int64_t low = GET_I32(d + 64 + 4 * i), high = GET_I32(d + 76 + 4 * i);
+        if (low < -FRAME_RANGE_BOUND || low >= FRAME_RANGE_BOUND)
             REFUSE(FRAME_RANGE, p.at + 64 + 4 * i);
-        if (f->high[i] <= f->low[i] || f->high[i] > FRAME_RANGE_BOUND)
+        if (high <= low || high > FRAME_RANGE_BOUND)
             REFUSE(FRAME_RANGE, p.at + 76 + 4 * i);
+        f->low[i] = low;
+        f->high[i] = high;
     }
 }
 
@@ -1407,13 +1452,15 @@ static void FRAME(struct scene *s, struct piece p)
 static uint64_t LAYER_MODELS(struct scene *s, struct piece p, uint64_t at)
 {
     for (int i = 0; i < NETWORKS; i++)
-        for (uint32_t k = 0; k < s->networks[i].layers; k++) {
+        for (uint32_t k = 0; k < LAYERS(&s->networks[i]); k++) {
             struct layer *l = &s->networks[i].layer[k];
-            const uint8_t *m = l->model = p.data + at;
+            const uint8_t *m = l->model;
             uint64_t bytes = 4 * (uint64_t)l->outputs * (l->inputs + 1);
             int64_t exponent;
             if (LAYER_MODEL_LENGTH > p.length - at)
                 REFUSE(WEIGHTS_LENGTH, p.at);
+            memcpy(l->model, p.data + at, sizeof l->model);
+            l->model_at = at;
             if (m[6] || m[7])
                 REFUSE(WEIGHTS_RESERVED, p.at + at + 6);
             if (m[0] > 1)
@@ -1435,7 +1482,7 @@ static uint64_t LAYER_MODELS(struct scene *s, struct piece p, uint64_t at)
             if (!m[0]) {
                 if (bytes > p.length - at)
                     REFUSE(WEIGHTS_LENGTH, p.at);
-                l->raw = p.data + at;
+                l->raw_at = at;
                 at += bytes;
             }
         }
@@ -1446,12 +1493,13 @@ static uint64_t LAYER_MODELS(struct scene *s, struct piece p, uint64_t at)
 static uint32_t ON_GRID(int32_t n, int64_t e)
 {
     uint32_t m = (uint32_t)MAGNITUDE(n), sign = n < 0 ? UINT32_C(1) << 31 : 0;
+    int zeros = 0;
     if (!m)
         return 0;
-    while (!(m & 0x800000)) {
-        m <<= 1;
-        e++;
-    }
+    while (zeros < 23 && !(m << zeros & 0x800000))
+        zeros++;
+    m <<= zeros;
+    e += zeros;
     if (e >= 150)
         return sign | m >> (e - 149);
     return sign | (uint32_t)(150 - e) << 23 | (m & 0x7FFFFF);
@@ -1461,7 +1509,7 @@ static uint32_t ON_GRID(int32_t n, int64_t e)
 static void PACKED_LAYER(struct piece p, const struct layer *l, const struct value *few, const struct value *many,
                          uint8_t *v)
 {
-    uint64_t at = p.at + (uint64_t)(l->model - p.data), rows = l->outputs, inputs = l->inputs;
+    uint64_t at = p.at + l->model_at, rows = l->outputs, inputs = l->inputs;
     int64_t e = GET_I16(l->model + 2);
     int first = 1;
     for (uint64_t r = 0; r < rows; r++) {
@@ -1498,19 +1546,19 @@ static void DECODE_WEIGHTS(struct scene *s, struct piece p, uint64_t at, uint8_t
     struct stream stream;
     at = LAYER_MODELS(s, p, at);
     for (int i = 0; i < NETWORKS; i++)
-        for (uint32_t k = 0; k < s->networks[i].layers; k++) {
+        for (uint32_t k = 0; k < LAYERS(&s->networks[i]); k++) {
             const struct layer *l = &s->networks[i].layer[k];
-            few_count += l->raw ? 0 : 2 * l->outputs;
-            many_count += l->raw ? 0 : (uint64_t)l->outputs * l->inputs;
+            few_count += l->raw_at ? 0 : 2 * l->outputs;
+            many_count += l->raw_at ? 0 : (uint64_t)l->outputs * l->inputs;
         }
     few = few_values = ALLOCATE(few_count, sizeof *few);
     many = many_values = ALLOCATE(many_count, sizeof *many);
     OPEN(&stream, CUT(p, at, p.length - at), s->h.lanes_log2[2]);
     few_count = many_count = 0;
     for (int i = 0; i < NETWORKS; i++)
-        for (uint32_t k = 0; k < s->networks[i].layers; k++) {
+        for (uint32_t k = 0; k < LAYERS(&s->networks[i]); k++) {
             const struct layer *l = &s->networks[i].layer[k];
-            if (l->raw)
+            if (l->raw_at)
                 continue;
             for (uint32_t r = 0; r < 2 * l->outputs; r++)
                 few[few_count++].scale = SCALE_MIN + l->model[r < l->outputs ? 1 : 5];
@@ -1521,12 +1569,12 @@ static void DECODE_WEIGHTS(struct scene *s, struct piece p, uint64_t at, uint8_t
     DECODE_VALUES(&stream, GAUSS, many, many_count, WEIGHT_SYMBOL_MAX);
     END(&stream);
     for (int i = 0; i < NETWORKS; i++)
-        for (uint32_t k = 0; k < s->networks[i].layers; k++) {
+        for (uint32_t k = 0; k < LAYERS(&s->networks[i]); k++) {
             const struct layer *l = &s->networks[i].layer[k];
             uint64_t weights = (uint64_t)l->outputs * l->inputs, count = weights + l->outputs;
-            if (l->raw) {
-                CHECK_FINITE(p, (uint64_t)(l->raw - p.data), count);
-                memcpy(v, l->raw, (size_t)(4 * count));
+            if (l->raw_at) {
+                CHECK_FINITE(p, l->raw_at, count);
+                memcpy(v, p.data + l->raw_at, (size_t)(4 * count));
             } else {
                 PACKED_LAYER(p, l, few, many, v);
                 few += 2 * l->outputs;
@@ -1544,6 +1592,7 @@ static void READ_WEIGHTS(struct scene *s, struct piece p, int mode)
     uint32_t inputs = s->h.features - s->h.slice_width.item[s->h.slice_width.count - 1];
     uint64_t values_at = PAD4(2 + inputs), count = WEIGHT_COUNT(s->networks, 0, NETWORKS);
     uint8_t *values = NULL;
+    SURE(inputs < FEATURES_MAX);
     if (p.length < values_at)
         REFUSE(WEIGHTS_LENGTH, p.at);
     s->plane_shift = p.data[0];
@@ -1589,7 +1638,7 @@ static void DECODE_PLANE(struct stream *stream, const struct network *sarm, int3
         for (int32_t k = 0; k < channels; k++)
             for (int32_t i = first; i <= last; i++) {
                 const int16_t *y = plane + k * size * size;
-                int32_t j = t - 2 * i, out[2];
+                int32_t j = t - 2 * i, out[2] = {0};
                 int32_t near[4] = {ACTIVATION(AT(y, size, i - 1, j - 1)), ACTIVATION(AT(y, size, i - 1, j)),
                                    ACTIVATION(AT(y, size, i - 1, j + 1)), ACTIVATION(AT(y, size, i, j - 1))};
                 NETWORK(sarm, near, out);
@@ -1662,7 +1711,8 @@ struct chunk { /* 5.13 */
 /* 5.13 */
 static void ENTRY(const uint8_t *entries, uint64_t number, struct chunk *c)
 {
-    const uint8_t *e = entries + CHUNK_ENTRY_LENGTH * number;
+    uint8_t e[CHUNK_ENTRY_LENGTH];
+    memcpy(e, entries + CHUNK_ENTRY_LENGTH * number, sizeof e);
     c->length = GET_U32(e);
     c->crc = GET_U32(e + 4);
     c->anchors = GET_U32(e + 8);
@@ -1753,7 +1803,9 @@ static void READ_INDEX(struct scene *s, struct piece p, int mode, uint64_t data_
 static int64_t POSITION_INTEGER(uint32_t bits)
 {
     uint32_t exponent = bits >> 10 & 31, mantissa = bits & 1023;
-    int64_t p = exponent ? (int64_t)(mantissa + 1024) << (exponent - 1) : (int64_t)mantissa;
+    int64_t p;
+    SURE(exponent < 31);
+    p = exponent ? (int64_t)(mantissa + 1024) << (exponent - 1) : (int64_t)mantissa;
     return bits >> 15 ? -p : p;
 }
 
@@ -1778,7 +1830,7 @@ static int32_t CELL_NUMBER(uint32_t c, unsigned cell_shift)
     if (cell_shift < CELL_INDEX) {
         unsigned e = 0;
         p = bits << cell_shift;
-        while (p >> e >= 2048)
+        while (e < 63 && p >> e >= 2048)
             e++;
         if (p >> e << e != p)
             return -1;
@@ -1890,6 +1942,7 @@ static void CONTRACT(int64_t v[3])
     if (q <= unit * unit)
         return;
     n = ISQRT(q);
+    SURE(n >= unit && n < INT64_C(1) << 31);
     f = (2 * n - unit) * unit / n;
     for (int r = 0; r < 3; r++)
         v[r] = FLOOR_DIV(v[r] * f, n);
@@ -1899,8 +1952,11 @@ static void CONTRACT(int64_t v[3])
 static void RESCALE(const struct frame *f, int64_t w[3])
 {
     const int64_t unit = INT64_C(1) << UNIT_BITS;
-    for (int r = 0; r < 3; r++)
-        w[r] = CLAMP(FLOOR_DIV((w[r] - f->low[r]) * unit, f->high[r] - f->low[r]), 0, unit);
+    for (int r = 0; r < 3; r++) {
+        int64_t range = f->high[r] - f->low[r];
+        SURE(range > 0);
+        w[r] = CLAMP(FLOOR_DIV((w[r] - f->low[r]) * unit, range), 0, unit);
+    }
 }
 
 /* 7.5.4: g is below 2^27, and the sum with the rounding term is below 2^31 */
@@ -1911,13 +1967,14 @@ static void QUERY(const int16_t *plane, int32_t channels, int32_t size, const in
     for (int a = 0; a < 2; a++) {
         int32_t g = (int32_t)u[a] * (size - 1);
         int32_t c = g >> UNIT_BITS < size - 2 ? g >> UNIT_BITS : size - 2;
+        SURE(c >= 0);
         cell[a] = c;
         weight[a] = (int32_t)RSHIFT_ROUND(g - (c << UNIT_BITS), UNIT_BITS - LERP_BITS);
     }
     for (int32_t k = 0; k < channels; k++) {
         const int16_t *y = plane + (k * size + cell[1]) * size + cell[0];
-        int32_t fj = weight[0], fi = weight[1], one = 1 << LERP_BITS;
-        int32_t t = y[0] * (one - fj) * (one - fi) + y[1] * fj * (one - fi);
+        int64_t fj = weight[0], fi = weight[1], one = 1 << LERP_BITS;
+        int64_t t = y[0] * (one - fj) * (one - fi) + y[1] * fj * (one - fi);
         t += y[size] * (one - fj) * fi + y[size + 1] * fj * fi;
         out[k] = ACTIVATION(RSHIFT_ROUND(t, 2 * LERP_BITS - plane_shift));
     }
@@ -1934,14 +1991,14 @@ static void GAMMA(int64_t u, uint32_t frequencies, int32_t *out)
     }
 }
 
-/* 7.5: the 2 ch + 2 L inputs of F_h for the anchor with the three f16 p */
-static void CONTEXT(const struct scene *s, const uint16_t *p, int32_t *out)
+/* 7.5: the 2 ch + 2 L inputs of F_h for anchor n of the chunk */
+static void CONTEXT(const struct scene *s, uint64_t n, int32_t *out)
 {
     int32_t channels = s->h.plane_channels, size = (int32_t)s->h.plane_size;
     int64_t position[3], u[3];
-    uint64_t anchor = s->first_anchor + (uint64_t)(p - s->position_bits) / 3;
-    for (int a = 0; a < 3; a++)
-        position[a] = POSITION_INTEGER(p[a]);
+    uint64_t anchor = s->first_anchor + n;
+    for (uint64_t a = 0; a < 3; a++)
+        position[a] = POSITION_INTEGER(s->position_bits[3 * n + a]);
     PROBE_POINT("P", anchor, position);
     if (!channels && !s->h.frequency_count) /* there is no frame */
         return;
@@ -2016,7 +2073,8 @@ static void DECODE_STAGE(struct scene *s, struct stream *stream, uint64_t anchor
 /* 7.9: the outputs of CARM for slice i, which begins at channel `first` */
 static void CHANNEL_CONTEXT(struct scene *s, uint32_t i, uint32_t first, uint64_t anchors)
 {
-    int32_t inputs[FEATURES_MAX];
+    int32_t inputs[FEATURES_MAX] = {0};
+    SURE(first <= FEATURES_MAX);
     for (uint64_t n = 0; n < anchors; n++) {
         for (uint32_t k = 0; k < first; k++)
             inputs[k] = ACTIVATION(RSHIFT_ROUND(s->symbols[n * s->h.channels + k], s->carm_shift[k]));
@@ -2039,8 +2097,8 @@ static void DECODE_ATTRIBUTES(struct scene *s, struct piece p, uint64_t anchors)
     struct stream stream;
     OPEN(&stream, p, h->lanes_log2[2]);
     for (uint64_t n = 0; n < anchors; n++) {
-        int32_t context[WIDTH_MAX];
-        CONTEXT(s, s->position_bits + 3 * n, context);
+        int32_t context[WIDTH_MAX] = {0};
+        CONTEXT(s, n, context);
         NETWORK(&s->networks[HYPER], context, s->parameters + n * (2 * d + 3));
         PROBE("means", s->first_anchor + n, s->parameters + n * (2 * d + 3), d);
         PROBE("scales", s->first_anchor + n, s->parameters + n * (2 * d + 3) + d, d);
@@ -2104,6 +2162,7 @@ static int64_t EXPONENTIAL(int64_t t, int *n)
     static const int64_t EXP2[7] = {1073741824, 744260848, 257945537, 59571654, 10398739, 1330132, 234908};
     const int64_t LOG2_E = 1549082005;
     int64_t y = t * LOG2_E, whole = RSHIFT(y, 46), fraction = (y - whole * (INT64_C(1) << 46)) >> 16, m = EXP2[6];
+    SURE(fraction >= 0 && fraction < INT64_C(1) << 30);
     for (int i = 5; i >= 0; i--)
         m = EXP2[i] + (m * fraction >> 30);
     *n = (int)whole - 30;
@@ -2115,20 +2174,23 @@ static int64_t EXPONENTIAL(int64_t t, int *n)
 static uint32_t ADD_F32(uint32_t a, uint32_t b)
 {
     int64_t m, n;
-    int e, d;
+    int e, d, shift;
     SPLIT_F32(a, &m, &e);
     SPLIT_F32(b, &n, &d);
-    if (e - d > 32)
+    shift = e - d;
+    if (shift > 32)
         return a;
-    if (d - e > 32)
+    if (shift < -32)
         return b;
-    return e > d ? ROUND_F32(m * (INT64_C(1) << (e - d)) + n, d) : ROUND_F32(m + n * (INT64_C(1) << (d - e)), e);
+    return shift > 0 ? ROUND_F32(m * (INT64_C(1) << shift) + n, d) : ROUND_F32(m + n * (INT64_C(1) << -shift), e);
 }
 
 /* 9.2: the value of a channel of kind a of anchor n of the chunk */
 static uint32_t CHANNEL(const struct scene *s, uint64_t n, int a, uint32_t channel)
 {
-    return VALUE(s->symbols[n * s->h.channels + channel], s->step[a][s->step_index[3 * n + (uint64_t)a]]);
+    uint8_t index = s->step_index[3 * n + (uint64_t)a];
+    SURE(index < STEP_LENGTH);
+    return VALUE(s->symbols[n * s->h.channels + channel], s->step[a][index]);
 }
 
 /* 9.3, 9.4: the Gaussians of anchor n of the chunk. By the bounds of 6.2, 6.4 and 9.4 all numbers are normal or zero: a
@@ -2137,8 +2199,9 @@ static void SPLAT(struct scene *s, uint64_t n)
 {
     const struct header *h = &s->h;
     const uint8_t *mask = s->masks + n * h->offset_count;
-    int32_t inputs[FEATURES_MAX], opacity[OFFSETS_MAX], covariance[7 * OFFSETS_MAX], colour[COLOURS_MAX * OFFSETS_MAX];
-    uint8_t numbers[4 * (11 + COLOURS_MAX) * OFFSETS_MAX], *out = numbers;
+    int32_t inputs[FEATURES_MAX] = {0}, opacity[OFFSETS_MAX] = {0}, covariance[7 * OFFSETS_MAX] = {0};
+    int32_t colour[COLOURS_MAX * OFFSETS_MAX] = {0};
+    uint8_t numbers[4 * (11 + COLOURS_MAX) * OFFSETS_MAX] = {0}, *out = numbers;
     int64_t scaling[6], m[3];
     int e[3];
     for (uint32_t i = 0; i < h->features; i++)
@@ -2292,7 +2355,7 @@ static void PARTS_END(struct scene *s, int print)
 {
     static const char names[PARTS][10] = {"positions", "masks",   "planes",  "features",
                                           "scalings",  "offsets", "weights", "splat"};
-    uint8_t head[HEAD_LENGTH], digests[PARTS][32], digest[32];
+    uint8_t head[HEAD_LENGTH], digests[PARTS][32] = {{0}}, digest[32] = {0};
     struct part whole = {.at = 0};
     int parts = PART_COUNT(&s->h);
     memcpy(head, "C3GSREC1", 8);

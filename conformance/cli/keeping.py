@@ -1,4 +1,4 @@
-"""The commands for maintenance of the suite: `generate`, `fuzz` and `selftest`."""
+"""The commands for maintenance of the suite: `generate`, `fuzz`, `fuzz-c` and `selftest`."""
 
 from __future__ import annotations
 
@@ -27,6 +27,18 @@ def _fuzz(arguments: argparse.Namespace) -> int:
     try:
         return run(arguments.count, arguments.seed, arguments.jobs, arguments.state, arguments.keep, arguments.command)
     except StateError as error:
+        raise UsageError(str(error)) from None
+
+
+def _fuzz_c(arguments: argparse.Namespace) -> int:
+    from ..fuzz.compiled import CompilerError, minimise, run  # noqa: PLC0415
+
+    try:
+        if arguments.minimise:
+            minimise(arguments.state)
+            return 0
+        return run(arguments.hours, arguments.state, VECTORS)
+    except CompilerError as error:
         raise UsageError(str(error)) from None
 
 
@@ -100,8 +112,33 @@ def _add_fuzz(commands: Any) -> None:
     fuzz.set_defaults(run=_fuzz)
 
 
+def _hours(text: str) -> float:
+    """Returns a number of hours. Raises ValueError."""
+    hours = float(text)
+    if not 0 < hours < 10000:
+        raise ValueError(text)
+    return hours
+
+
+def _add_fuzz_c(commands: Any) -> None:
+    fuzz_c = commands.add_parser(
+        "fuzz-c", help="fuzz the decoder in C and the native kernel, guided by coverage; this needs clang"
+    )
+    fuzz_c.add_argument("--hours", type=_hours, default=1.0, help="wall time of this run (default 1)")
+    fuzz_c.add_argument(
+        "--state",
+        type=Path,
+        default=Path("out/fuzz-c"),
+        metavar="DIR",
+        help="program, inputs, failures and log, which a later run continues (default: out/fuzz-c)",
+    )
+    fuzz_c.add_argument("--minimise", action="store_true", help="only remove inputs that reach nothing new")
+    fuzz_c.set_defaults(run=_fuzz_c)
+
+
 def add(commands: Any) -> None:
     """Adds the commands to the parser."""
     _add_fuzz(commands)
+    _add_fuzz_c(commands)
     _add_generate(commands)
     _add_selftest(commands)
