@@ -24,6 +24,11 @@ TOOLS = ("setuptools", "ziglang", "markdown-it-py", "Pygments")
 LICENCE = "Apache-2.0"
 
 
+def version_of(name: str) -> str:
+    """Returns the version of an installed package."""
+    return importlib.metadata.version(name)
+
+
 def dumped(document: object) -> bytes:
     """Returns a document as JSON."""
     return (json.dumps(document, indent=1, ensure_ascii=False) + "\n").encode()
@@ -53,7 +58,7 @@ def bill(source: Source, metadata: str, tag: str, parts: list[Part]) -> bytes:
             "type": "library",
             "bom-ref": f"inside:{part.name}",
             "name": part.name,
-            "version": f"of ziglang {importlib.metadata.version('ziglang')}",
+            "version": f"of ziglang {version_of('ziglang')}",
             "licenses": [_licence(part.licence)],
             "scope": "required",
             "properties": [{"name": "refcodec:place", "value": "inside this wheel"}],
@@ -110,7 +115,7 @@ def statement(source: Source, folder: Path) -> list[Path]:
     """Writes the in-toto statement over all artefacts of a folder. Nobody signs it. Returns its path."""
     path = folder / f"c3gs-{source.version}.intoto.unsigned.json"
     subjects = [{"name": p.name, "digest": {"sha256": sha256(p)}} for p in _artefacts(folder) if p != path]
-    tools = {name: importlib.metadata.version(name) for name in TOOLS} | {"python": platform.python_version()}
+    tools = {name: version_of(name) for name in TOOLS} | {"python": platform.python_version()}
     path.write_bytes(
         dumped(
             {
