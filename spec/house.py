@@ -47,6 +47,7 @@ PARTS = {
         "conformance.cli",
         "spec",
         "benchmarks",
+        "release",
     ),
 }
 ROOMS = tuple(room for rooms in PARTS.values() for room in rooms)

@@ -1,0 +1,102 @@
+"""Programs and libraries for other systems, by the compiler that makes the WebAssembly: Zig, pinned in package.json."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import importlib.util
+import json
+import os
+import shlex
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+from refcodec.statuses import UsageError
+
+from .source import Source
+
+
+@dataclass(frozen=True)
+class Target:
+    """A system. name: in messages. zig: the compiler's name of it. tag: that of wheels."""
+
+    name: str
+    zig: str
+    tag: str
+
+
+# The oldest systems are those that the compiler and its C libraries support, or that CPython 3.11 does.
+TARGETS = (
+    Target("Linux x86_64", "x86_64-linux-gnu.2.17", "manylinux_2_17_x86_64.manylinux2014_x86_64"),
+    Target("Linux aarch64", "aarch64-linux-gnu.2.17", "manylinux_2_17_aarch64.manylinux2014_aarch64"),
+    Target("Linux x86_64, musl", "x86_64-linux-musl", "musllinux_1_2_x86_64"),
+    Target("macOS arm64", "aarch64-macos.11.0", "macosx_11_0_arm64"),
+    Target("macOS x86_64", "x86_64-macos.10.13", "macosx_10_13_x86_64"),
+    Target("Windows x86_64", "x86_64-windows-gnu", "win_amd64"),
+)
+# The decoder in C as a static program: the name of the processor, and the compiler's name of the system.
+STATIC = {"x86_64": "x86_64-linux-musl", "aarch64": "aarch64-linux-musl"}
+
+
+def check(source: Source) -> None:
+    """Raises UsageError unless the pinned compiler is installed."""
+    pinned = package(source)["config"]["ziglang"]
+    found = importlib.metadata.version("ziglang") if importlib.util.find_spec("ziglang") else "missing"
+    if found != pinned:
+        raise UsageError(f"ziglang {pinned} is needed, and here it is {found}: pip install ziglang=={pinned}")
+
+
+def package(source: Source) -> dict[str, dict[str, str]]:
+    """Returns the package.json of the module for browsers."""
+    found: dict[str, dict[str, str]] = json.loads((source.folder / "refcodec" / "web" / "package.json").read_bytes())
+    return found
+
+
+def kernel(source: Source, target: Target) -> bytes:
+    """Returns the library of the kernel for a system, built with the sources and flags of setup.py. Raises UsageError.
+
+    Nothing of a build may depend on its folder: the sources have relative names, and the linker writes no time.
+    """
+    code = (
+        "import json; from distutils.core import run_setup; e = run_setup('setup.py', stop_after='init').ext_modules[0]"
+        "; print(json.dumps([*e.extra_compile_args, *e.extra_link_args, *e.sources]))"
+    )
+    told = subprocess.run(
+        [sys.executable, "-c", f"import setuptools; {code}"], cwd=source.folder, capture_output=True, check=True
+    )
+    # A library of Windows needs no position-independent code, and Zig ignores the flag there.
+    flags = ["-target", target.zig, "-shared", "-fPIC", "-s", *json.loads(told.stdout.splitlines()[-1])]
+    return _compile(source, "kernel.so", flags)
+
+
+def static_decoder(source: Source, processor: str) -> bytes:
+    """Returns the decoder in C as a static program for Linux. processor: of STATIC. Raises UsageError."""
+    flags = ["-target", STATIC[processor], "-static", "-std=c11", "-O2", "-g0", "-s", "conformance/c/decoder.c"]
+    return _compile(source, "c3gs-decoder", flags)
+
+
+def webassembly(source: Source) -> bytes:
+    """Returns c3gs.wasm, built again. Raises UsageError if it is not the committed one."""
+    web = source.folder / "refcodec" / "web"
+    committed = (web / "c3gs.wasm").read_bytes()
+    words = shlex.split(package(source)["scripts"]["build"])
+    made = _run([sys.executable, *words[1:]], web, web / words[words.index("-o") + 1])
+    if made != committed:
+        raise UsageError("c3gs.wasm is not what its sources make: run npm run build in refcodec/web, and commit it")
+    return made
+
+
+def _compile(source: Source, name: str, flags: list[str]) -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / name
+        return _run([sys.executable, "-m", "ziglang", "cc", *flags, "-o", str(path)], source.folder, path)
+
+
+def _run(command: list[str], folder: Path, made: Path) -> bytes:
+    environment = {**os.environ, "SOURCE_DATE_EPOCH": "0"}
+    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise UsageError(f"{shlex.join(command)} failed: {done.stderr}")
+    return made.read_bytes()

@@ -1,0 +1,205 @@
+"""The release: archives, wheels, bills of materials and descriptions. `python -m release --check` builds the whole."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import re
+import shutil
+import subprocess
+import tarfile
+import tomllib
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+from refcodec.statuses import UsageError
+from release import archives, audit, compiler, notices, statements, wheels
+from release.source import Source
+
+ROOT = Path(__file__).resolve().parents[2]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+SOURCE = Source(ROOT, "c" * 40, 1_700_000_000, "0.1.0", "0.1.0")
+INFO = "refcodec-0.1.0.dist-info/"
+
+
+@pytest.fixture(autouse=True)
+def _without_the_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The licences of its parts are texts, and its version a word: the extra `release` may be missing."""
+    monkeypatch.setattr(notices, "text", lambda parts: ", ".join(part.name for part in parts).encode())
+    monkeypatch.setattr(statements, "version_of", lambda name: "1.0")
+
+
+def metadata() -> str:
+    """METADATA as setuptools makes it of pyproject.toml, as far as it matters here."""
+    lines = ["Metadata-Version: 2.4", "Name: refcodec", "Version: 0.1.0", "Author: X", "License-Expression: Apache-2.0"]
+    lines += ["Requires-Python: >=3.11", "License-File: LICENSE"]
+    lines += [f"Requires-Dist: {text}" for text in PROJECT["dependencies"]]
+    for extra, texts in PROJECT["optional-dependencies"].items():
+        lines += [f"Provides-Extra: {extra}", *(f'Requires-Dist: {text}; extra == "{extra}"' for text in texts)]
+    return "\n".join(lines) + "\n\nWords.\n"
+
+
+def whole() -> dict[str, bytes]:
+    """The files of a wheel of the whole tree, with a few of its modules."""
+    return {
+        "refcodec/__init__.py": b"",
+        "conformance/__init__.py": b"",
+        "conformance/data/vectors/manifest.json": b"{}",
+        f"{INFO}METADATA": metadata().encode(),
+        f"{INFO}WHEEL": b"Wheel-Version: 1.0\nGenerator: x\nRoot-Is-Purelib: true\nTag: py3-none-any\n\n",
+        f"{INFO}entry_points.txt": b"",
+        f"{INFO}top_level.txt": b"",
+        f"{INFO}licenses/LICENSE": b"",
+        f"{INFO}RECORD": b"",
+    }
+
+
+def divided(monkeypatch: pytest.MonkeyPatch, folder: Path) -> list[dict[str, bytes]]:
+    """The files of the wheel of refcodec and of that of the suite."""
+    monkeypatch.setattr(wheels, "build", lambda *_: archives.zipped(whole(), 0))
+    found = []
+    for path in wheels.plain(SOURCE, folder):
+        with zipfile.ZipFile(path) as archive:
+            found.append({name: archive.read(name) for name in archive.namelist()})
+    return found
+
+
+def requirements(wheel: dict[str, bytes], info: str) -> list[Requirement]:
+    return [Requirement(t) for t in re.findall(r"^Requires-Dist: (.*)$", wheel[f"{info}METADATA"].decode(), re.M)]
+
+
+def test_an_archive_depends_on_names_and_contents_only(tmp_path: Path) -> None:
+    files = {"b/run": b"2", "a": b"1"}
+    made = archives.tar_gz(files, 7, frozenset({"b/run"}))
+    assert made == archives.tar_gz(dict(reversed(files.items())), 7, frozenset({"b/run"}))
+    # Of files with other times, owners, modes and order.
+    other = io.BytesIO()
+    with tarfile.open(fileobj=other, mode="w:gz") as archive:
+        for name, content in files.items():
+            member = tarfile.TarInfo(name)
+            member.size, member.mtime, member.uid, member.uname = len(content), len(name), 1000, "somebody"
+            member.mode = 0o775 if name == "b/run" else 0o660
+            archive.addfile(member, io.BytesIO(content))
+    assert archives.same_tar_gz(other.getvalue(), 7) == made
+    with tarfile.open(fileobj=io.BytesIO(made)) as archive:
+        told = [(m.name, m.mode, m.mtime, m.uid, m.uname) for m in archive.getmembers()]
+    assert told == [("a", 0o644, 7, 0, ""), ("b/run", 0o755, 7, 0, "")]
+
+
+def test_a_source_distribution_is_the_same_twice(tmp_path: Path) -> None:
+    made = []
+    for number in (1, 2):
+        folder = tmp_path / f"{number}"
+        (folder / "one").mkdir(parents=True)
+        (folder / "pyproject.toml").write_text(
+            '[build-system]\nrequires = ["setuptools"]\nbuild-backend = "setuptools.build_meta"\n'
+            '[project]\nname = "one"\nversion = "1"\n',
+            encoding="utf-8",
+        )
+        module = folder / "one" / "__init__.py"
+        module.write_text("", encoding="utf-8")
+        module.chmod(0o640 if number == 1 else 0o644)
+        os.utime(module, (number, number))
+        made.append(archives.same_tar_gz(wheels.build(folder, "build_sdist", 7), 7))
+    assert made[0] == made[1]
+
+
+def test_the_decoder_is_apart_from_the_suite(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    light, suite = divided(monkeypatch, tmp_path)
+    assert {name.partition("/")[0] for name in light} == {"refcodec", INFO.rstrip("/")}
+    assert {"conformance/__init__.py", "conformance/data/vectors/manifest.json"} <= set(suite)
+    assert not any(name.startswith("refcodec/") for name in suite)
+    # The extra of the same name installs the suite.
+    extra = [str(r) for r in requirements(light, INFO) if r.name == "refcodec-conformance"]
+    assert extra == ['refcodec-conformance==0.1.0; extra == "conformance"']
+    needed = {str(r) for r in requirements(suite, "refcodec_conformance-0.1.0.dist-info/")}
+    assert needed == {"refcodec==0.1.0", *PROJECT["optional-dependencies"]["conformance"]}
+    for wheel, info in ((light, INFO), (suite, "refcodec_conformance-0.1.0.dist-info/")):
+        listed = {line.partition(",")[0] for line in wheel[f"{info}RECORD"].decode().splitlines()}
+        assert listed == set(wheel)
+
+
+def test_the_bill_has_the_requirements_of_the_project(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    light, _ = divided(monkeypatch, tmp_path)
+    bill: dict[str, Any] = json.loads(light[f"{INFO}sboms/refcodec.cdx.json"])
+    found = {c["name"]: c["scope"] for c in bill["components"] if "purl" in c}
+    always = {canonicalize_name(Requirement(text).name) for text in PROJECT["dependencies"]}
+    extras = {canonicalize_name(Requirement(t).name) for ts in PROJECT["optional-dependencies"].values() for t in ts}
+    assert {name for name, scope in found.items() if scope == "required"} == always
+    assert set(found) == (always | extras | {"refcodec-conformance"}) - {"refcodec"}
+    # And the parts of others within the wheel, such as those of c3gs.wasm.
+    assert [c["name"] for c in bill["components"] if "purl" not in c] == ["wasi-libc"]
+    assert bill["metadata"]["component"]["purl"] == "pkg:pypi/refcodec@0.1.0"
+
+
+def test_every_part_goes_with_its_licence() -> None:
+    names = {target.name: [part.name for part in notices.parts("refcodec", target.tag)] for target in compiler.TARGETS}
+    assert names["Windows x86_64"] == ["wasi-libc", "zig compiler-rt", "mingw-w64"]
+    assert names["Linux x86_64"] == ["wasi-libc", "zig compiler-rt"]
+    assert notices.parts("refcodec_conformance", wheels.ANY) == []
+    assert set(notices.of_wheel(INFO, "refcodec", wheels.ANY)) == {f"{INFO}licenses/THIRD-PARTY.txt"}
+
+
+def test_one_compiler_is_pinned() -> None:
+    """The extra has the compiler that package.json names."""
+    pinned = {Requirement(t).name: Requirement(t) for t in PROJECT["optional-dependencies"]["release"]}
+    assert str(pinned["ziglang"].specifier) == f"=={compiler.package(SOURCE)['config']['ziglang']}"
+    exact = {name for name, r in pinned.items() if str(r.specifier).startswith("==")}
+    assert {canonicalize_name(name) for name in statements.TOOLS} <= {canonicalize_name(name) for name in exact}
+
+
+@pytest.mark.parametrize(
+    ("changes", "tag", "fault"),
+    [
+        ({}, "manylinux_2_17_x86_64", None),
+        ({"oldest": (2, 2, 5)}, "manylinux_2_17_x86_64", None),
+        ({"oldest": (2, 18)}, "manylinux_2_17_x86_64", "it needs glibc 2.18, and the tag promises 2.17"),
+        ({"libraries": ("libgcc_s.so.1",)}, "manylinux_2_17_x86_64", "it needs libgcc_s.so.1"),
+        ({"processor": "AARCH64"}, "manylinux_2_17_x86_64", "it is ELF for AARCH64"),
+        ({"exports": frozenset()}, "manylinux_2_17_x86_64", "it does not export kernel_version"),
+        ({}, "macosx_11_0_arm64", "it is ELF for X86_64"),
+        ({"kind": "Mach-O", "processor": "ARM64", "libraries": ()}, "macosx_11_0_arm64", "it has no signature"),
+        ({"kind": "Mach-O", "libraries": (), "oldest": (11, 0)}, "macosx_10_13_x86_64", "it needs macOS 11.0"),
+        ({"kind": "PE", "processor": "AMD64", "libraries": ("KERNEL32.dll",)}, "win_amd64", None),
+        ({"kind": "PE", "processor": "AMD64", "libraries": ("vcruntime140.dll",)}, "win_amd64", "vcruntime140.dll"),
+    ],
+)
+def test_a_library_that_a_system_may_not_load_is_refused(
+    monkeypatch: pytest.MonkeyPatch, changes: dict[str, Any], tag: str, fault: str | None
+) -> None:
+    known = {"kind": "ELF", "processor": "X86_64", "libraries": ("libc.so.6",), "exports": frozenset({audit.FIRST})}
+    facts = audit.Facts(**{**known, "oldest": (), "signed": False, **changes})
+    monkeypatch.setattr(audit, "facts", lambda _: facts)
+    target = compiler.Target("a system", "", tag)
+    if fault is None:
+        assert audit.check_kernel(b"", target) == facts
+    else:
+        with pytest.raises(UsageError, match=re.escape(fault)):
+            audit.check_kernel(b"", target)
+
+
+def test_the_citation_and_the_deposit_agree() -> None:
+    """.zenodo.json says what CITATION.cff and pyproject.toml say."""
+    deposit = json.loads((ROOT / ".zenodo.json").read_bytes())
+    citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    assert f'title: "{deposit["title"]}"' in citation
+    assert f"version: {deposit['version']}" in citation
+    assert f"license: {deposit['license']}" in citation
+    assert deposit["license"] == PROJECT["license"]
+    assert [c["name"] for c in deposit["creators"]] == [a["name"] for a in PROJECT["authors"]]
+
+
+@pytest.mark.skipif(shutil.which("file") is None, reason="file(1) is not here")
+def test_file_knows_the_format() -> None:
+    """spec/c3gs.magic, which `python -m spec --check` compares with the schemas."""
+    command = ["file", "--brief", "-m", ROOT / "spec" / "c3gs.magic", ROOT / "vectors" / "tiny-example.c3gs"]
+    found = subprocess.run([*command, ROOT / "SPEC.md"], capture_output=True, text=True, check=True).stdout
+    words, other = found.splitlines()
+    assert words == "C3GS scene of 3D Gaussians, version 0.0, profile Tiny level 0, anchors: 5, chunks: 2"
+    assert not other.startswith("C3GS")
