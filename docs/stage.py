@@ -11,7 +11,7 @@ import re
 import shutil
 from pathlib import Path
 
-from . import chapters, vectors, whole
+from . import chapters, commands, vectors, whole
 
 ROOT = Path(__file__).resolve().parents[1]
 MANUAL = ROOT / "docs"
@@ -38,9 +38,11 @@ _CONTENTS = """
 {pages}
 ```
 """
+# The place of the commands in their page.
+_COMMANDS = "<!-- commands -->\n"
 # The pages of the manual in their order.
 ORDER = (
-    ("First steps", ("first-steps", "look-inside", "python", "python-names")),
+    ("First steps", ("first-steps", "look-inside", "commands", "python", "python-names")),
     ("By job", ("photographs", "method", "models", "page", "programs", "comparison", "decoder", "certify", "extend")),
     ("Specification", ("specification", "spec/index")),
     ("More", tuple(PAGES.values())),
@@ -55,7 +57,7 @@ def stage(folder: Path) -> None:
     """Fills an empty folder with the pages of the site, and what they show and lead to."""
     shutil.copytree(MANUAL / "pictures", folder / "pictures", ignore=shutil.ignore_patterns("README.md"))
     for path in sorted(MANUAL.glob("*.md")):
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8").replace(_COMMANDS, commands.sections())
         _write(folder, path.stem, text + _contents() if path.stem == "index" else text, path)
     for name, page in PAGES.items():
         _write(folder, page, (ROOT / name).read_text(encoding="utf-8"), ROOT / name)

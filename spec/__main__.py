@@ -15,14 +15,27 @@ from collections.abc import Callable, Iterator
 
 from conformance.manifest import load
 
-from . import citations, coverage, decoder, descriptions, example, figures, generated, house, matrix, proofs, tables
+from . import (
+    citations,
+    coverage,
+    decoder,
+    descriptions,
+    example,
+    figures,
+    generated,
+    house,
+    matrix,
+    proofs,
+    public,
+    tables,
+)
 from .made import Made
 
 # The order matters. The second decoder and the worked example need the tables, SPEC.md contains the example, and the
 # matrix reads SPEC.md.
 MAKERS: tuple[Callable[[], Iterator[Made]], ...] = (
     tables.made, decoder.made, example.made, figures.made, generated.made, matrix.made, house.made,
-    descriptions.made,
+    descriptions.made, public.made,
 )  # fmt: skip
 
 

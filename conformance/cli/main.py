@@ -22,7 +22,7 @@ class _Parser(argparse.ArgumentParser):
         self.exit(statuses.USAGE, f"{self.prog}: {printable(message)}\n")
 
 
-def _parser() -> argparse.ArgumentParser:
+def make_parser() -> argparse.ArgumentParser:
     # These modules need the extra `conformance`.
     from . import certifying, exchange, keeping, running  # noqa: PLC0415
 
@@ -65,7 +65,7 @@ def main(argv: list[str] | None = None) -> int:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     try:
-        arguments = _parser().parse_args(argv)
+        arguments = make_parser().parse_args(argv)
         status: int = arguments.run(arguments)
         sys.stdout.flush()
         return status

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from functools import cached_property
 from types import TracebackType
-from typing import Any
+from typing import cast
 
 from ..bitstream.ancillary import TYPES
 from ..bitstream.batches import GROUP_ANCHORS
@@ -23,7 +23,7 @@ from ..bitstream.header import Header
 from ..bitstream.metadata import metadata
 from ..bitstream.reader import Reader
 from ..bitstream.scene import Ancillary
-from ..bitstream.source import FileBytes, Source, StoredFile, WholeFile
+from ..bitstream.source import FileBytes, Readable, SeekableFile, Source, StoredFile, WholeFile
 from ..bitstream.streaming import DecodedChunk, decoded_chunks, stated_bytes
 from ..export.splats import Splats
 from ..files.remote import MEMORY_MAX, RemoteFile, is_url
@@ -34,8 +34,8 @@ from ..render.gaussians import check_static
 from . import page
 from .scenes import Scene, named_cameras
 
-# The source of a file: a path, a URL, or its bytes.
-Place = str | os.PathLike[str] | bytes | bytearray | memoryview
+# The source of a file: a path, a URL, its bytes, or a file object.
+Place = str | os.PathLike[str] | bytes | bytearray | memoryview | Readable
 
 # The most bytes of an ancillary section of a known type that are read.
 _SECTION_BYTES = 1 << 24
@@ -50,10 +50,13 @@ class File:
     byte_count: the file length.
     """
 
+    header: Header
+    byte_count: int
+
     def __init__(self, source: Source, bounds: Bounds) -> None:
         """Reads the header. `open` makes one. Raises BitstreamError 101 to 305."""
         self._source, self._bounds, self._close = source, bounds, contextlib.ExitStack()
-        self.header: Header = Reader(source).header
+        self.header = Reader(source).header
         self.byte_count = source.length()
 
     def __enter__(self) -> File:
@@ -65,7 +68,7 @@ class File:
         self.close()
 
     def close(self) -> None:
-        """Closes the file. Values that were read remain."""
+        """Closes the file. Values that were read remain. A file object of the caller stays open."""
         self._close.close()
 
     @property
@@ -162,7 +165,8 @@ def open(
     """Opens a file, and reads and checks its header.
 
     Args:
-        place: a path, a URL (which needs the extra `http` and a server that answers ranges), or the bytes of a file.
+        place: a path, a URL (which needs the extra `http` and a server that answers ranges), the bytes of a file, or a
+            file object in binary mode. A seekable one is read from its start, on request, and another one at once.
         max_anchors: the most anchors, or None. Set bounds for files of unknown origin.
         max_memory: the most bytes of memory for decoding, or None, which is 4 GiB for a URL.
         max_work: the most units of work for decoding (SPEC.md 13.1), or None.
@@ -172,20 +176,27 @@ def open(
         BoundPassedError: a pipe, which is read at once, has more bytes than allowed.
         OSError: the file cannot be read.
         refcodec.statuses.UsageError: the URL cannot be read.
+        TypeError: the place is none of these, or a file object in text mode.
     """
     bounds = Bounds(max_anchors, max_memory, max_work)
     with contextlib.ExitStack() as opened:
-        source: Any
+        source: Source
+        stored: Readable
         if isinstance(place, bytes | bytearray | memoryview):
             source = WholeFile(bytes(place))
-        elif is_url(os.fspath(place)):
+        elif isinstance(place, str | os.PathLike) and is_url(os.fspath(place)):
             if max_memory is None:
                 bounds = replace(bounds, memory=MEMORY_MAX)
             source = opened.enter_context(RemoteFile(os.fspath(place)))
         else:
-            stored = opened.enter_context(builtins.open(place, "rb"))
-            if stat.S_ISREG(os.fstat(stored.fileno()).st_mode):
-                source = StoredFile(stored)
+            if isinstance(place, str | os.PathLike):
+                stored = opened.enter_context(builtins.open(place, "rb"))
+                # Some devices are seekable, but have no length.
+                seekable = stat.S_ISREG(os.fstat(stored.fileno()).st_mode)
+            else:
+                stored, seekable = place, _is_seekable(place)
+            if seekable:
+                source = StoredFile(cast(SeekableFile, stored))
             else:
                 held = stated_bytes(stored, lambda header: bounds.check_bytes(header.sections[-1].end))
                 bounds = bounds.beside(len(held))
@@ -195,13 +206,22 @@ def open(
     return file
 
 
+def _is_seekable(place: Readable) -> bool:
+    """Whether a file object can be read at any offset. Raises TypeError if it is not one in binary mode."""
+    if not hasattr(place, "read") or not isinstance(place.read(0), bytes):
+        kind = type(place).__name__
+        raise TypeError(f"a path, a URL, bytes or a file object in binary mode is required, {kind} found")
+    seekable = getattr(place, "seekable", None)
+    return bool(seekable and seekable())
+
+
 def decode(
     place: Place, *, max_anchors: int | None = None, max_memory: int | None = None, max_work: int | None = None
 ) -> Scene:
     """Returns the scene of a file.
 
     Args:
-        place: a path, a URL, or the bytes of a file, as for `open`.
+        place: a path, a URL, the bytes of a file, or a file object, as for `open`.
         max_anchors: the most anchors, or None.
         max_memory: the most bytes of memory for decoding, or None, which is 4 GiB for a URL.
         max_work: the most units of work for decoding (SPEC.md 13.1), or None.
@@ -227,7 +247,7 @@ def gaussians(
     are read-only.
 
     Args:
-        place: a path, a URL, or the bytes of a file, as for `open`.
+        place: a path, a URL, the bytes of a file, or a file object, as for `open`.
         max_anchors: the most anchors, or None.
         max_memory: the most bytes of memory for decoding, or None, which is 4 GiB for a URL.
         max_work: the most units of work for decoding (SPEC.md 13.1), or None.

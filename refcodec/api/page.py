@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,7 +47,7 @@ def table(
     return render(template, title=title, facts=facts, sizes=sizes, picture=picture)
 
 
-def points(mean: NDArray, colour: NDArray, up_axis: int) -> Points | None:
+def points(mean: NDArray[Any], colour: NDArray[Any], up_axis: int) -> Points | None:
     """Returns a picture of points from above, or None without finite points.
 
     mean: [n, 3]. colour: [n, 3], 0 to 1. up_axis: as in SPEC 6.5.

@@ -7,25 +7,29 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..bitstream.batches import no_progress
 from ..bitstream.cameras import NamedCamera, cameras
 from ..bitstream.codec import emit
+from ..bitstream.dimensions import STATIC
 from ..bitstream.metadata import metadata
 from ..bitstream.reconstruction import Reconstruction, digest, reconstruct
 from ..bitstream.scene import Scene as CodedScene
 from ..bitstream.scene import take_anchors
+from ..export import DEGREE, ITERATIONS
 from ..export.splats import Splats, static_splats
 from ..inspect.elements import outline_of
 from ..inspect.parts import part_bytes
-from ..render.camera import Camera, check_camera, default_camera
-from ..render.gaussians import Gaussians, gaussians_of
+from ..render.camera import Camera, check_camera, default_camera, scene_up
+from ..render.gaussians import Gaussians, check_render_model, gaussians_of
 from . import page
 
 if TYPE_CHECKING:
@@ -46,9 +50,11 @@ class Scene:
     coded: every number of the file, as integers (refcodec.bitstream.scene.Scene).
     """
 
+    coded: CodedScene
+
     def __init__(self, coded: CodedScene, sizes: Mapping[str, int] | None = None) -> None:
         """coded: the integers. sizes: bytes of each part of their file, or None."""
-        self.coded: CodedScene = _read_only(coded)
+        self.coded = _read_only(coded)
         self._sizes = None if sizes is None else dict(sizes)
 
     @classmethod
@@ -132,6 +138,11 @@ class Scene:
         return next(iter(self.cameras), default_camera(NamedCamera()))
 
     @property
+    def up(self) -> NDArray[np.float64]:
+        """SPEC 6.5: the up direction of the scene, a unit vector, float64 [3]. The file's cameras refine it."""
+        return scene_up(self.coded.render.up_axis, cameras(self.coded.ancillary))
+
+    @property
     def sizes(self) -> dict[str, int]:
         """Bytes of each part of the file. Their sum is the length of the file.
 
@@ -140,6 +151,92 @@ class Scene:
         if self._sizes is None:
             self._sizes = part_sizes(encode(self))
         return dict(self._sizes)
+
+    def save(self, file: str | os.PathLike[str] | Writable) -> None:
+        """SPEC 4.3: writes the scene as a C3GS file, the bytes that `encode` returns.
+
+        file: a path, or a file object in binary mode. The file of a path is replaced when the new one is complete.
+        Raises ValueError and TypeError as `encode`, and OSError.
+        """
+        from ..files.stage import write_file
+
+        data = encode(self)
+        if isinstance(file, str | os.PathLike):
+            write_file(Path(file), data)
+        else:
+            file.write(data)
+
+    def export(
+        self,
+        *outputs: str | os.PathLike[str],
+        degree: int | None = None,
+        iterations: int | None = None,
+        cameras: Sequence[Camera] | None = None,
+        spz_bits: int | None = None,
+    ) -> Splats:
+        """Writes the scene as ordinary splats for other programs, and returns their Gaussians, as `refcodec export`.
+
+        The Gaussians of a static scene are written as they are. For other scenes, one set of Gaussians is fitted to
+        views, once for all outputs. The fit and `.sog` need the extra `render`.
+
+        Args:
+            outputs: paths, whose suffixes select the formats: .ply, .spz, .sog or .glb. They are replaced together,
+                when all are complete.
+            degree: of the harmonics, 0 to 3, or None for 3. For a fit only.
+            iterations: the least-squares steps on the images, or None for 10. For a fit only.
+            cameras: the views of the fit, or None for the cameras of the file, and views around the scene if it has
+                fewer than 8 of them. For a fit only.
+            spz_bits: the bits of the harmonics in .spz, 4 to 8, or None for 7.
+
+        Raises:
+            ValueError: an argument is not as above, no camera sees a Gaussian, a format cannot hold the scene, or its
+                render model is not known (SPEC 6.5).
+            ModuleNotFoundError: a package of the extra is missing.
+            OSError: an output cannot be written.
+        """
+        from ..export.formats import FORMATS, splat_files
+        from ..export.spz import BITS, BITS_LEAST, BITS_MOST
+        from ..files.stage import Stage
+
+        suffixes = [Path(output).suffix.lower() for output in outputs]
+        for output, suffix in zip(outputs, suffixes, strict=True):
+            if suffix not in FORMATS:
+                raise ValueError(f"{os.fspath(output)} has an unknown suffix; allowed are {', '.join(FORMATS)}")
+        spz_bits = BITS if spz_bits is None else spz_bits
+        if not BITS_LEAST <= spz_bits <= BITS_MOST:
+            raise ValueError(f"spz_bits is {spz_bits}, but must be from {BITS_LEAST} to {BITS_MOST}")
+        splats = self._fitted(degree, iterations, cameras)
+        try:
+            files = splat_files(splats, suffixes, self.up, self.coded.render, spz_bits)
+        except ModuleNotFoundError as error:
+            raise _with_extra(error) from None
+        with Stage() as stage:
+            for output, file in zip(outputs, files, strict=True):
+                stage.write(Path(output), file.data)
+        return splats
+
+    def _fitted(self, degree: int | None, iterations: int | None, cameras: Sequence[Camera] | None) -> Splats:
+        """Returns the Gaussians of `export`."""
+        check_render_model(self.coded.render)
+        if self.coded.render.render_model == STATIC:
+            if (degree, iterations, cameras) != (None, None, None):
+                raise ValueError("a static scene needs no fit: omit degree, iterations and cameras")
+            return self.splats
+        degree, iterations = DEGREE if degree is None else degree, ITERATIONS if iterations is None else iterations
+        if not (0 <= degree <= 3 and iterations >= 0):
+            raise ValueError(f"degree is {degree} and iterations {iterations}, but must be 0 to 3, and 0 or more")
+        if cameras is not None and not cameras:
+            raise ValueError("cameras is empty: give some, or None for those of the file")
+        for camera in cameras or ():
+            check_camera(camera)
+        view = self._view
+        from ..export.fit import fit
+        from ..export.views import sized, views_of
+        from ..render.view import stated_cameras
+
+        fitting = views_of(view, stated_cameras(self.coded)).fit if cameras is None else [*map(sized, cameras)]
+        found: Splats = _read_only(fit(view, fitting, degree, iterations, no_progress).splats)
+        return found
 
     def digest(self) -> str:
         """SPEC 9.3: returns the SHA-256 of the canonical reconstruction, in hexadecimal.
@@ -230,6 +327,14 @@ class Scene:
         found = Scene(take_anchors(self.coded, slice(None, None, step))).gaussians(self.camera)
         some = slice(None, None, max(1, -(-len(found.mean) // page.POINTS)))
         return Gaussians(**{name: values[some] for name, values in vars(found).items()})
+
+
+class Writable(Protocol):
+    """A file object that is open for writing in binary mode."""
+
+    def write(self, data: bytes, /) -> object:
+        """Writes bytes."""
+        ...
 
 
 def _read_only(value: Any) -> Any:

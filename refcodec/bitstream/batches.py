@@ -62,7 +62,7 @@ class _OneThread:
             self._limits, self._lock = None, threading.Lock()
 
 
-one_thread = _OneThread()
+one_thread: _OneThread = _OneThread()
 
 
 def groups(chunks: list[range]) -> Iterator[tuple[range, slice]]:
@@ -81,6 +81,9 @@ def groups(chunks: list[range]) -> Iterator[tuple[range, slice]]:
 
 class PartDecoder:
     """Decodes the same part of several chunks in parallel, and finds the first error of each."""
+
+    errors: list[BitstreamError | None]
+    decoder: Decoder
 
     def __init__(self, parts: list[tuple[Piece, str]], lanes: int, trace: Trace | None) -> None:
         """parts: at least one, each with its path. lanes: the lanes of each substream."""

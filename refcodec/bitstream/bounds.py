@@ -26,6 +26,10 @@ class BoundPassedError(Exception):
     bound: "anchors", "work" or "memory". needed, allowed: anchors, units of all_work, or bytes.
     """
 
+    bound: str
+    needed: int
+    allowed: int
+
     def __init__(self, bound: str, needed: int, allowed: int) -> None:
         self.bound, self.needed, self.allowed = bound, needed, allowed
         what = {

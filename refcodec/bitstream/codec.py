@@ -8,6 +8,7 @@ from __future__ import annotations
 import zlib
 from contextlib import suppress
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +28,7 @@ from .index import chunk_floor, emit_entry, entries_start, parse_index
 from .kernel import REFUSED_FORM, REFUSED_STEPS, Anchors, NativeScene, kernel, native_scene
 from .limits import PROFILES, dimension_fault, minimal_level
 from .masks import code_masks, mask_models
-from .networks import Derive, derive_networks
+from .networks import Derive, IntNetwork, derive_networks
 from .planes import assemble_planes, emit_planes
 from .positions import RAW, emit_position_model, encode_positions, first_bad, form_error, raw_positions
 from .reader import Chunk, Reader
@@ -124,6 +125,9 @@ def parse(
 class Coding:
     """The networks, the attribute model and the anchor contexts that the symbols of a scene are coded with."""
 
+    sarm: IntNetwork | None
+    model: EntropyModel
+
     def __init__(self, scene: Scene, exact_float: bool | None = None, block_rows: int | None = None) -> None:
         """exact_float, block_rows: as in IntNetwork. Raises BoundError."""
         networks = derive_networks(scene.networks, exact_float, block_rows)
@@ -134,7 +138,7 @@ class Coding:
         self.model = EntropyModel.of(networks, scene.carm_shift, scene.dimensions.slices)
         self._scene, self._planes = scene, assemble_planes(scene.planes)
 
-    def contexts(self, rows: slice | NDArray = slice(None)) -> NDArray[np.int16]:
+    def contexts(self, rows: slice | NDArray[Any] = slice(None)) -> NDArray[np.int16]:
         """SPEC 7.5: returns the contexts of some anchors, int16 [n, inputs of F_h]."""
         s = self._scene
         return context(s.frame, self._planes, s.plane_shift, s.dimensions.frequency_count, s.positions[rows])

@@ -10,7 +10,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import construct as cs
 import numpy as np
@@ -183,7 +183,7 @@ class _Layout:
             shift = np.arange(len(counts)) * (self.steps * lanes) - self.starts
             self.place = np.arange(int(self.counts.sum())) + np.repeat(shift, self.counts)
 
-    def spread(self, flat: NDArray, fill: int) -> NDArray:
+    def spread(self, flat: NDArray[Any], fill: int) -> NDArray[Any]:
         """Returns [symbols] as [steps, substreams, lanes], with `fill` where there is no symbol."""
         if not self.even:
             padded = np.full(int(np.prod(self.shape)), fill, dtype=flat.dtype)
@@ -191,7 +191,7 @@ class _Layout:
             flat = padded
         return np.ascontiguousarray(flat.reshape(self.shape).transpose(1, 0, 2))
 
-    def gather(self, grid: NDArray) -> NDArray:
+    def gather(self, grid: NDArray[Any]) -> NDArray[Any]:
         """Returns [steps, substreams, lanes] as [symbols]: the reverse of spread."""
         flat = grid.transpose(1, 0, 2).reshape(-1)
         return flat if self.even else flat[self.place]
@@ -203,6 +203,19 @@ class Decoder:
     Decoding never stops within a substream (SPEC 8.8). Words and raw bits past the end read as zero. `finish` returns
     the errors.
     """
+
+    lanes: int
+    state: NDArray[np.uint32]
+    words: NDArray[np.uint32]
+    word_at: Int64
+    word_end: Int64
+    raw: bytes
+    raw_bytes: NDArray[np.uint8]
+    raw_base: Int64
+    raw_end: Int64
+    raw_at: Int64
+    crc: list[int]
+    bad_escape: NDArray[np.bool_]
 
     def __init__(self, streams: list[Substream], trace: Trace | None = None) -> None:
         """streams: at least one, all with the same number of lanes."""
@@ -471,6 +484,10 @@ def require_limit(values: NDArray[np.integer], limit: int) -> None:
 
 class Encoder:
     """A coder that encodes a batch of substreams (SPEC B.4). It has the decoder's methods, with the symbols given."""
+
+    count: int
+    lanes: int
+    crc: list[int]
 
     def __init__(self, count: int, lanes: int) -> None:
         """count: the number of substreams. lanes: the lanes of each."""

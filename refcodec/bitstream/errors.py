@@ -146,6 +146,12 @@ class BitstreamError(Exception):
     found, allowed: the content of the file there, and the allowed content, as text.
     """
 
+    kind: ErrorKind
+    offset: int
+    path: str
+    found: str
+    allowed: str
+
     def __init__(self, name: str, offset: int, path: str, found: object, allowed: object) -> None:
         self.kind = REGISTRY[name]
         self.offset = int(offset)

@@ -30,6 +30,11 @@ Layer = tuple[F32, F32]
 class BoundError(ValueError):
     """A row whose integers could reach the accumulator bound. `row` is its number in the layer named `layer`."""
 
+    row: int
+    layer: str
+    found: str
+    allowed: str
+
     def __init__(self, row: int, layer: str = "layer") -> None:
         self.row, self.layer = row, layer
         self.found = f"row {row}, which exceeds a bound at every exponent"
@@ -74,6 +79,9 @@ def derive_layer(weight: F32, bias: F32) -> IntLayer:
 class IntNetwork:
     """SPEC 7.2, NETWORK: integer layers, with a clamp to [0, 1023] between them and none after the last."""
 
+    exact_float: bool
+    block_rows: int
+
     def __init__(self, layers: list[IntLayer], exact_float: bool | None = None, block_rows: int | None = None) -> None:
         """exact_float: whether to compute in float32. None leaves it to the self-test.
         block_rows: rows that are computed at once. None means BLOCK_ROWS. No result depends on either.
@@ -105,7 +113,7 @@ class IntNetwork:
             out[rows] = forward(inputs[rows])
         return out
 
-    def _forward_float(self, a: NDArray) -> NDArray:
+    def _forward_float(self, a: NDArray[Any]) -> NDArray[Any]:
         x = a.astype(np.float32)
         last = len(self._float) - 1
         for i, (weight, bias, unit) in enumerate(self._float):
@@ -117,7 +125,7 @@ class IntNetwork:
                 np.clip(x, 0, ACTIVATION_MAX, out=x)
         return x
 
-    def _forward_int(self, a: NDArray) -> NDArray:
+    def _forward_int(self, a: NDArray[Any]) -> NDArray[Any]:
         x = a.astype(np.int64)
         last = len(self.layers) - 1
         for i, layer in enumerate(self.layers):

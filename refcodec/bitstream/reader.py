@@ -62,6 +62,9 @@ class Reader:
     ancillary: the ancillary sections that were kept.
     """
 
+    source: Source
+    trace: Trace | None
+
     def __init__(
         self,
         source: Source,

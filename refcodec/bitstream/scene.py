@@ -100,7 +100,7 @@ class Scene:
         return [range(end - count, end) for end, count in zip(ends, self.chunk_anchors, strict=True)]
 
 
-def take_anchors(scene: Scene, keep: NDArray | slice) -> Scene:
+def take_anchors(scene: Scene, keep: NDArray[Any] | slice) -> Scene:
     """Returns the scene with some of its anchors, in the fewest chunks.
 
     keep: the indices in the wanted order, a boolean array [N], or a slice.
@@ -130,13 +130,11 @@ def check_types(value: object, kind: Any = Scene, path: str = "scene") -> None:
         kind: the required type, as an annotation.
         path: its name.
     """
-    origin: Any = get_origin(kind) or kind
-    inner = get_args(kind)
+    origin, inner = _class_of(kind), get_args(kind)
     if origin is UnionType:
         if value is None and NoneType in inner:
             return
-        origin, inner = inner[0], get_args(inner[0])
-        origin = get_origin(origin) or origin
+        origin, inner = _class_of(inner[0]), get_args(inner[0])
     if not isinstance(value, _ACCEPTED.get(origin, origin)):
         raise TypeError(f"{path} is {value!r:.60}, but must be {getattr(origin, '__name__', origin)}")
     if hasattr(origin, "__dataclass_fields__"):
@@ -151,6 +149,13 @@ def check_types(value: object, kind: Any = Scene, path: str = "scene") -> None:
             raise ValueError(f"{path} must have {len(inner)} values, but has {len(value)}")
         for i, item in enumerate(value):
             check_types(item, inner[0] if of_each else inner[i], f"{path}[{i}]")
+
+
+def _class_of(kind: Any) -> Any:
+    """Returns the class of an annotation, such as ndarray for NDArray[float32]."""
+    origin = get_origin(kind) or kind
+    # From NumPy 2.5 on, NDArray is the name of an alias.
+    return _class_of(origin.__value__) if hasattr(origin, "__value__") else origin
 
 
 # The accepted types for the type of an annotation.
@@ -176,7 +181,7 @@ def check_shapes(scene: Scene) -> None:
     have been checked.
     """
     d, n, a = scene.dimensions, scene.anchor_count, scene.attributes
-    wanted: dict[str, tuple[NDArray, tuple[int, ...], type]] = {
+    wanted: dict[str, tuple[NDArray[Any], tuple[int, ...], type]] = {
         "planes": (scene.planes, (PLANES, d.plane_channels, d.plane_size, d.plane_size), np.int16),
         "carm_shift": (scene.carm_shift, (d.carm_inputs,), np.uint8),
         "mask_model": (scene.mask_model, (mask_contexts(d.offset_count),), np.uint16),

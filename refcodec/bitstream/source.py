@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import BinaryIO, Protocol
+from typing import Protocol
 
 from .errors import BitstreamError
 
@@ -55,6 +55,22 @@ class Source(Protocol):
         ...
 
 
+class Readable(Protocol):
+    """A file object that is open for reading in binary mode."""
+
+    def read(self, size: int, /) -> bytes:
+        """Returns at least one of the next `size` bytes, or none at the end of the file."""
+        ...
+
+
+class SeekableFile(Readable, Protocol):
+    """A file object that can be read at any offset."""
+
+    def seek(self, offset: int, whence: int = 0, /) -> int:
+        """Moves to an offset from the start, or from the end if `whence` is 2. Returns the position."""
+        ...
+
+
 class WholeFile:
     """A file in memory."""
 
@@ -70,10 +86,19 @@ class WholeFile:
         return len(self._data)
 
 
+def read_up_to(file: Readable, size: int) -> bytes:
+    """Returns `size` bytes of a file from its position, or fewer if it ends before. Raises OSError."""
+    found = file.read(size)
+    # A read of a socket or a raw file may return fewer bytes than it could.
+    while len(found) < size and (more := file.read(size - len(found))):
+        found += more
+    return found
+
+
 class StoredFile:
     """A file on a disk, of which only the requested bytes are read."""
 
-    def __init__(self, file: BinaryIO) -> None:
+    def __init__(self, file: SeekableFile) -> None:
         """file: opened for reading in binary mode, and seekable."""
         self._file = file
         self._length = file.seek(0, 2)
@@ -85,7 +110,7 @@ class StoredFile:
         if size <= 0:
             return b""
         self._file.seek(start)
-        return self._file.read(size)
+        return read_up_to(self._file, size)
 
     def length(self) -> int:
         """As Source.length: the length when the file was opened."""

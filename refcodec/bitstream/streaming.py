@@ -9,7 +9,6 @@ from __future__ import annotations
 import io
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import BinaryIO
 
 from .batches import GROUP_ANCHORS, Progress, no_progress
 from .bounds import Bounds
@@ -18,7 +17,7 @@ from .header import Header, read_header
 from .reader import Chunk, Opened, Reader
 from .reconstruction import Reconstruction, reconstruct
 from .scene import Scene
-from .source import Source
+from .source import Readable, Source, read_up_to
 
 # The block size, in bytes, for a file without a known length.
 _BLOCK_BYTES = 1 << 20
@@ -114,12 +113,12 @@ def pieces(
 class _Beginning:
     """The first bytes of a file, as far as requested (source.Source). held: these bytes."""
 
-    def __init__(self, file: BinaryIO) -> None:
+    def __init__(self, file: Readable) -> None:
         self._file, self.held = file, b""
 
     def read(self, start: int, size: int) -> bytes:
         """As Source.read."""
-        self.held += self._file.read(max(0, start + size - len(self.held)))
+        self.held += read_up_to(self._file, max(0, start + size - len(self.held)))
         return self.held[start : start + size]
 
     def length(self) -> int:
@@ -127,7 +126,7 @@ class _Beginning:
         return len(self.held)
 
 
-def stated_bytes(file: BinaryIO, check: Callable[[Header], None]) -> bytes:
+def stated_bytes(file: Readable, check: Callable[[Header], None]) -> bytes:
     """Returns the bytes of a pipe, or another file without a length, up to one past the end that its header states.
 
     check: called with the header before the bytes after it are read. Raises BitstreamError for the header, and OSError.

@@ -231,12 +231,16 @@ class Element:
     value: Any
 
 
-class Recorded(cs.Subconstruct):
+class _Recorded(cs.Subconstruct):
     """A construct that records each parsed element.
 
     It uses two parameters of parse_stream. `elements` is the list that receives the elements. `at` is the stack of the
     paths around the current one. If `at` is None, nothing is recorded.
     """
+
+    element: str
+    kind: str
+    indexed: bool
 
     def __init__(self, subcon: cs.Construct, name: str, kind: str, indexed: bool = False) -> None:
         super().__init__(subcon)
@@ -257,7 +261,7 @@ class Recorded(cs.Subconstruct):
         return value
 
 
-class Padding(cs.Construct):
+class _Padding(cs.Construct):
     """SPEC 5: the fewest zero bytes that make the length read or written so far a multiple of four."""
 
     def _parse(self, stream: Any, context: Any, path: str) -> bytes:
@@ -271,7 +275,7 @@ class Padding(cs.Construct):
 def _subcon(kind: str) -> cs.Construct:
     if kind == "padding":
         # A struct that is built need not state it.
-        return cs.Default(Padding(), b"")
+        return cs.Default(_Padding(), b"")
     array = re.fullmatch(r"(\w+)\[(\w+)\]", kind)
     if array is None:
         return _SCALARS[kind] if kind in _SCALARS else _struct(kind)
@@ -279,7 +283,7 @@ def _subcon(kind: str) -> cs.Construct:
     length = int(count) if count.isdigit() else cs.this[count]
     if item == "bytes":
         return cs.Bytes(length)
-    return cs.Array(length, Recorded(_subcon(item), "", item, indexed=True))
+    return cs.Array(length, _Recorded(_subcon(item), "", item, indexed=True))
 
 
 def _fields(name: str) -> list[tuple[str, str]]:
@@ -295,7 +299,7 @@ def _fields(name: str) -> list[tuple[str, str]]:
 
 
 def _struct(name: str) -> cs.Struct:
-    return cs.Struct(*(field / Recorded(_subcon(kind), field, kind) for field, kind in _fields(name)))
+    return cs.Struct(*(field / _Recorded(_subcon(kind), field, kind) for field, kind in _fields(name)))
 
 
 @cache
@@ -353,6 +357,9 @@ class Struct:
 
     fields: the values by name. size: the number of bytes read.
     """
+
+    fields: Any
+    size: int
 
     def __init__(self, name: str, piece: Piece, at: int, path: str) -> None:
         """Parses the struct from byte `at` of a piece. Raises construct.ConstructError if the piece ends too early.

@@ -9,6 +9,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ..export import DEGREE, ITERATIONS
 from ..files.outputs import check_apart, check_file
 from ..files.stage import write_file
 from ..files.terminal import note, say
@@ -41,8 +42,6 @@ if TYPE_CHECKING:
     from ..folder.uncompressed import Uncompressed
     from ..render.view import View
 
-# The defaults of a fit. A static scene has no fit, and refuses the options.
-_DEGREE, _ITERATIONS = 3, 10
 NOTES = """\
 FILE is a file or a scene folder. The suffix of OUTPUT selects the format:
 
@@ -178,14 +177,10 @@ def _packed(
     arguments: argparse.Namespace, outputs: list[Path], splats: Splats, up: NDArray[np.float64], render: RenderInfo
 ) -> list[Packed]:
     """Returns the files of Gaussians. Raises UsageError if a format cannot hold them or needs a missing package."""
-    from ..export.formats import splat_file
-    from ..export.glb import check_colours
+    from ..export.formats import splat_files
 
     try:
-        # Only GLB states the colour space.
-        if any(output.suffix.lower() == GLB_SUFFIX for output in outputs):
-            check_colours(render)
-        return [splat_file(splats, output.suffix.lower(), up, _spz_bits(arguments)) for output in outputs]
+        return splat_files(splats, [output.suffix.lower() for output in outputs], up, render, _spz_bits(arguments))
     except ModuleNotFoundError as error:
         raise needs("a .sog file", "render", error, RENDER_PACKAGES) from None
     except ValueError as error:
@@ -258,8 +253,8 @@ def _export_fitted(arguments: argparse.Namespace, outputs: list[Path], shown: by
         from ..render.view import View, stated_cameras
     except ModuleNotFoundError as error:
         raise needs("export", "render", error, RENDER_PACKAGES) from None
-    degree = _DEGREE if arguments.degree is None else arguments.degree
-    iterations = _ITERATIONS if arguments.iterations is None else arguments.iterations
+    degree = DEGREE if arguments.degree is None else arguments.degree
+    iterations = ITERATIONS if arguments.iterations is None else arguments.iterations
     note_compiling()
     scene = parse_file(arguments, shown).scene if isinstance(shown, bytes) else shown
     view = View(scene)
@@ -318,7 +313,7 @@ def add(commands: Any) -> None:
         "--degree",
         type=int,
         choices=range(4),
-        help=f"degree of the spherical harmonics, by which colours depend on the direction (default: {_DEGREE})",
+        help=f"degree of the spherical harmonics, by which colours depend on the direction (default: {DEGREE})",
     )
     export.add_argument("--cameras", metavar="PHOTOGRAPHS", help="fit to the cameras of a folder of photographs")
     export.add_argument(
@@ -332,7 +327,7 @@ def add(commands: Any) -> None:
         "--iterations",
         type=whole,
         metavar="N",
-        help=f"least-squares steps on the images, after the fit of each Gaussian by itself (default: {_ITERATIONS})",
+        help=f"least-squares steps on the images, after the fit of each Gaussian by itself (default: {ITERATIONS})",
     )
     export.add_argument(
         "--spz-bits",

@@ -15,7 +15,7 @@ from ..files.terminal import note, open_streams, silence_stdout
 from .shared import EXITS, UsageError, reject
 
 # The modules of this package and their commands. A command imports only its own module.
-GROUPS = {
+GROUPS: dict[str, tuple[str, ...]] = {
     "coding": ("encode", "decode", "digest", "reconstruct", "validate"),
     "looking": ("explain", "inspect"),
     "drawing": ("gaussians", "render", "eval"),
@@ -48,7 +48,7 @@ class _Version(argparse.Action):
         parser.exit()
 
 
-def _parser(groups: list[str]) -> argparse.ArgumentParser:
+def make_parser(groups: list[str]) -> argparse.ArgumentParser:
     """Returns the parser with the commands of some groups."""
     parser = _Parser(
         prog="refcodec",
@@ -99,7 +99,7 @@ def _run(argv: list[str] | None) -> int:
         groups = _groups(argv)
         if "numpy" not in sys.modules and set(groups) <= set(_ONE_THREAD):
             os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-        arguments = _parser(groups).parse_args(argv)
+        arguments = make_parser(groups).parse_args(argv)
         return int(arguments.run(arguments))
     except SystemExit as end:
         # argparse raises this after --help, --version and wrong usage.

@@ -54,9 +54,9 @@ POSITION = 0.4
 STEP_MAX = {"lengths": 0.5, "logit": 1.5, "turn": 0.25, "colour": 1.0}
 # The smallest weight, which keeps quotients finite.
 TINY = 1e-300
-KINDS = {"lengths": LENGTHS, "logit": LOGIT, "turn": TURN, "colour": COLOUR}
+KINDS: dict[str, slice] = {"lengths": LENGTHS, "logit": LOGIT, "turn": TURN, "colour": COLOUR}
 # The columns that each rendering network decodes. The covariance network also has w, which is 1.
-OUTPUTS = {"opacity": (LOGIT,), "covariance": (LENGTHS, TURN), "colour": (COLOUR,)}
+OUTPUTS: dict[str, tuple[slice, ...]] = {"opacity": (LOGIT,), "covariance": (LENGTHS, TURN), "colour": (COLOUR,)}
 # Features of slices before those of colours: the class, lengths and logit, turn.
 SLICES = (1, 4, 3)
 COLOURS = (3, 3, 6, 12, 24)
@@ -277,6 +277,10 @@ def _with_w(layers: list[Layer]) -> list[Layer]:
 
 class Judge:
     """Pictures of the given Gaussians by some cameras, to compare with."""
+
+    cameras: Sequence[Camera]
+    settings: Settings
+    truth: list[F64]
 
     def __init__(self, given: Measured, cameras: Sequence[Camera], settings: Settings) -> None:
         self.cameras, self.settings = cameras, settings

@@ -41,8 +41,8 @@ class Lpips:
     def __init__(self, path: str | Path) -> None:
         try:
             with safe_open(path, "pt") as file:
-                self.network = (file.metadata() or {}).get("network", "")
-                self.weights = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+                self.network: str = (file.metadata() or {}).get("network", "")
+                self.weights: dict[str, Any] = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
         except SafetensorError as error:
             raise ValueError(f"{path} is not a safetensors file ({error})") from None
         if self.network not in LAYERS:

@@ -31,7 +31,7 @@ from ..statuses import UsageError
 NETWORKS = {"vgg": ("vgg16.ckpt", "VGG16_0"), "alex": ("alexnet.ckpt", "AlexNet_0")}
 KIND = Kind("weights of LPIPS", re.compile(rb'.{8}\{"__metadata__":\{"network":', re.DOTALL))
 # Modules of NumPy 1 and 2 with the parts of a pickled array.
-ALLOWED = {"_reconstruct": np._core.multiarray._reconstruct, "ndarray": np.ndarray, "dtype": np.dtype}  # type: ignore[attr-defined]
+ALLOWED: dict[str, Any] = {"_reconstruct": np._core.multiarray._reconstruct, "ndarray": np.ndarray, "dtype": np.dtype}  # type: ignore[attr-defined]
 
 
 class ArrayUnpickler(pickle.Unpickler):

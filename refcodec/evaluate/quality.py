@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import correlate1d
@@ -14,7 +16,7 @@ _SIGMA, _HALF = 1.5, 5
 _C1, _C2 = 0.01**2, 0.03**2
 
 
-def measures(made: NDArray, photograph: NDArray[np.uint8]) -> dict[str, float]:
+def measures(made: NDArray[Any], photograph: NDArray[np.uint8]) -> dict[str, float]:
     """Returns PSNR in dB and SSIM of an image, float [h, w, 3] with 1 for white, against a photograph uint8 [h, w, 3].
 
     psnr, ssim: by scikit-image, of the image rounded to eight bits; its SSIM omits a border of five pixels.

@@ -235,6 +235,11 @@ class Runner:
     training runs save their state. A second signal kills them.
     """
 
+    notes: Notes
+    show: Show
+    jobs: int
+    held: tuple[int, ...]
+
     def __init__(self, notes: Notes, show: Show, jobs: int, held: tuple[int, ...] = ()) -> None:
         self.notes, self.show, self.jobs, self.held = notes, show, jobs, held
         self._running: set[subprocess.Popen[str]] = set()

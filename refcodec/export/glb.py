@@ -46,7 +46,7 @@ def check_colours(render: RenderInfo) -> None:
         )
 
 
-def _attributes(splats: Splats) -> dict[str, NDArray]:
+def _attributes(splats: Splats) -> dict[str, NDArray[Any]]:
     """Returns the vertex attributes by name, [n] or [n, parts] each.
 
     The extension demands lengths, opacities and unit quaternions. Each is rounded once. Other numbers keep their bits.
@@ -60,7 +60,7 @@ def _attributes(splats: Splats) -> dict[str, NDArray]:
     # COLOR_0 is linear.
     colour = np.where(colour <= 0.04045, colour / 12.92, ((colour + 0.055) / 1.055) ** 2.4)
     points = np.concatenate([colour, opacity[:, None]], axis=1)
-    attributes: dict[str, NDArray] = {
+    attributes: dict[str, NDArray[Any]] = {
         "POSITION": splats.mean,
         "COLOR_0": nearest_bytes(points * 255),
         f"{EXTENSION}:ROTATION": splats.unit_quaternions()[:, [1, 2, 3, 0]],

@@ -53,7 +53,7 @@ def sog_file(splats: Splats) -> Packed:
     width = 4 * max(int(np.ceil(np.sqrt(count) / 4)), 1)
     height = 4 * max(int(np.ceil(count / width / 4)), 1)
 
-    def image(values: NDArray) -> bytes:
+    def image(values: NDArray[Any]) -> bytes:
         pixels = np.full((width * height, 4), 255, np.uint8)
         pixels[:count, : values.shape[1]] = values
         return _webp(pixels.reshape(height, width, 4))
@@ -80,7 +80,7 @@ def sog_file(splats: Splats) -> Packed:
         "quats": {"files": ["quats.webp"]},
         "sh0": {"codebook": base_table.tolist(), "files": ["sh0.webp"]},
     }
-    rest: NDArray = splats.rest[order]
+    rest: NDArray[Any] = splats.rest[order]
     if splats.degree:
         labels, entries = _palette(rest.reshape(count, -1).astype(np.float64))
         numbers, table = _table(entries.reshape(len(entries), -1, 3))
@@ -140,7 +140,7 @@ def _positions(mean: NDArray[np.float32]) -> tuple[NDArray[np.uint16], dict[str,
     return levels, {"mins": low.tolist(), "maxs": high.tolist()}
 
 
-def _table(values: NDArray) -> tuple[_U8, _F64]:
+def _table(values: NDArray[Any]) -> tuple[_U8, _F64]:
     """Returns the table index of each value, and the table of 256 ascending numbers."""
     flat = np.sort(values.reshape(-1).astype(np.float64))
     # For least squares, the density of entries is the cube root of that of the values. The table starts so.

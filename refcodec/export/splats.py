@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -97,7 +97,7 @@ def logits(opacity: F64) -> F64:
     return np.log(within / (1 - within))
 
 
-def nearest_bytes(values: NDArray) -> NDArray[np.uint8]:
+def nearest_bytes(values: NDArray[Any]) -> NDArray[np.uint8]:
     """Returns the nearest integers from 0 to 255."""
     return np.clip(np.floor(values + 0.5), 0, 255).astype(np.uint8)
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import gzip
 import re
 import struct
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,7 +79,7 @@ def spz_file(splats: Splats, bits: int = BITS) -> Packed:
     return Packed(data, Splats(*(values.astype(np.float32) for values in held)))
 
 
-def _raw(values: NDArray) -> bytes:
+def _raw(values: NDArray[Any]) -> bytes:
     return values.tobytes()
 
 
@@ -92,7 +93,7 @@ def _fraction(splats: Splats) -> int:
     return int(np.clip(np.ceil(-np.log2(_STEP_SHARE) - axis), 0, most))
 
 
-def _packed(largest: NDArray[np.int64], negative: NDArray[np.bool_], magnitude: NDArray[np.uint32]) -> NDArray:
+def _packed(largest: NDArray[np.int64], negative: NDArray[np.bool_], magnitude: NDArray[np.uint32]) -> NDArray[Any]:
     """Returns 32 bits for each quaternion: the index of the largest component, then the others, the first one highest.
 
     negative, magnitude: [n, 3], of the others.

@@ -20,7 +20,7 @@ from .layout import SceneFolderError
 HEADER_MAX = 1 << 20
 
 
-def read_arrays(file: Path, advice: str) -> dict[str, NDArray]:
+def read_arrays(file: Path, advice: str) -> dict[str, NDArray[Any]]:
     """Returns the arrays of a file by name. advice: the remedy in errors. Raises SceneFolderError."""
     from safetensors import SafetensorError
     from safetensors.numpy import load_file
@@ -69,7 +69,7 @@ class RowsFile:
         self._file = file
         self._places = {name: 8 + len(text) + start for name, start in starts.items()}
 
-    def add(self, blocks: Mapping[str, NDArray]) -> None:
+    def add(self, blocks: Mapping[str, NDArray[Any]]) -> None:
         """Writes the next rows of every array. Raises OSError."""
         for name, block in blocks.items():
             data = block.astype(block.dtype.newbyteorder("<"), copy=False).tobytes()

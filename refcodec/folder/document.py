@@ -24,6 +24,10 @@ class Document:
     Every method raises SceneFolderError for a field that is missing or not allowed.
     """
 
+    file: Path
+    again: str
+    root: Any
+
     def __init__(self, file: Path, form: str = FORMAT, again: str = "decode again") -> None:
         """Reads the file. form: the required value of "format". again: the last remedy in every message.
 

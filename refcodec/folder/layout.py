@@ -47,6 +47,10 @@ MASK_LOGIT_MIN = float(np.log(0.01 / 0.99))
 class SceneFolderError(ValueError):
     """A scene folder, or a file in it, that cannot be used. file: its path. problem: the fault. advice: the remedy."""
 
+    file: str
+    problem: str
+    advice: str
+
     def __init__(self, file: Path | str, problem: str, advice: str) -> None:
         self.file, self.problem, self.advice = str(file), problem, advice
         super().__init__(f"{file}: {problem}; {advice}")

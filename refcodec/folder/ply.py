@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +36,7 @@ def ply_properties(offset_count: int, features: int) -> list[str]:
     ]
 
 
-def ply_values(r: Reconstruction, masks: NDArray[np.bool_]) -> dict[str, NDArray]:
+def ply_values(r: Reconstruction, masks: NDArray[np.bool_]) -> dict[str, NDArray[Any]]:
     """Returns the columns with data, float32 [N, columns], by the stem of their property names.
 
     The other properties, such as the normals, are constant. masks: bool [N, K].
@@ -83,6 +83,9 @@ def write_cloud(r: Reconstruction, masks: NDArray[np.bool_], path: str | Path) -
 
 class Columns:
     """The vertex properties of a PLY file, as float32 columns. count: the number of vertices."""
+
+    data: NDArray[Any]
+    count: int
 
     def __init__(self, file: Path) -> None:
         """Reads the file. Raises SceneFolderError."""

@@ -9,6 +9,7 @@ import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -270,7 +271,7 @@ def _read_ancillary(doc: Document, path: Path) -> tuple[Ancillary, ...]:
     return tuple(found)
 
 
-def _tensors(file: Path, wanted: dict[str, tuple[tuple[int, ...], type[np.generic]]]) -> dict[str, NDArray]:
+def _tensors(file: Path, wanted: dict[str, tuple[tuple[int, ...], type[np.generic]]]) -> dict[str, NDArray[Any]]:
     """Returns the arrays of a safetensors file by name. wanted: the shape and the dtype of each.
 
     Raises SceneFolderError if the file has other arrays, or one of another shape or dtype.

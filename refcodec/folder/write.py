@@ -201,7 +201,7 @@ def _blocks(scene: Scene) -> Iterator[Scene]:
         yield take_anchors(scene, slice(first, first + _ROWS))
 
 
-def _coded(scene: Scene) -> dict[str, NDArray]:
+def _coded(scene: Scene) -> dict[str, NDArray[Any]]:
     """Returns the arrays of coded.safetensors."""
     a = scene.attributes
     return {

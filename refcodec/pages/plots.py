@@ -25,12 +25,12 @@ class Plot:
     each tick of the horizontal axis. bars: x, y, width, height and title of each. lines: class and SVG path of each.
     """
 
-    WIDTH: ClassVar = 640
-    HEIGHT: ClassVar = 240
-    LEFT: ClassVar = 62
-    TOP: ClassVar = 12
-    across_units: ClassVar = 570
-    up_units: ClassVar = 188
+    WIDTH: ClassVar[int] = 640
+    HEIGHT: ClassVar[int] = 240
+    LEFT: ClassVar[int] = 62
+    TOP: ClassVar[int] = 12
+    across_units: ClassVar[int] = 570
+    up_units: ClassVar[int] = 188
 
     title: str
     x_label: str

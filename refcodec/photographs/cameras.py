@@ -32,6 +32,10 @@ ROTATION_TOLERANCE = 1e-3
 class PhotographError(ValueError):
     """Photographs that cannot be used. The message has the place, the fault with what is allowed, and the remedy."""
 
+    where: str
+    problem: str
+    advice: str
+
     def __init__(self, where: Path | str, problem: str, advice: str) -> None:
         self.where, self.problem, self.advice = str(where), problem, advice
         super().__init__(f"{where}: {problem}; {advice}")

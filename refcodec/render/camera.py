@@ -9,7 +9,7 @@ from numbers import Integral, Real
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ..bitstream.cameras import NamedCamera
 from ..bitstream.header import RenderInfo
@@ -69,6 +69,36 @@ class Camera:
     rotation: F64
     translation: F64
 
+    @classmethod
+    def look_at(cls, eye: ArrayLike, target: ArrayLike, up: ArrayLike, width: int, height: int, fov: float) -> Camera:
+        """Returns a camera at one point that looks at another one. Its pixels are square, and its axis is central.
+
+        Args:
+            eye: the position of the camera, [3], world units.
+            target: the point in the middle of the image, [3], world units.
+            up: the direction that is upwards in the image, [3], of any length, such as `scene.up`.
+            width: of the image in pixels.
+            height: of the image in pixels.
+            fov: the vertical angle of view, in degrees, above 0 and below 180.
+
+        Raises:
+            ValueError: a value is not as above, the target is at the eye, or `up` is parallel to the view.
+        """
+        at, to, above = (_point(name, value) for name, value in (("eye", eye), ("target", target), ("up", up)))
+        if not 0 < fov < 180:
+            raise ValueError(f"fov is {fov}, but must be above 0 and below 180 degrees")
+        ahead, length = to - at, np.linalg.norm(above)
+        distance = np.linalg.norm(ahead)
+        if not distance:
+            raise ValueError("the target is at the eye: choose another point")
+        if not length or np.linalg.norm(np.cross(ahead / distance, above / length)) < SHORT:
+            raise ValueError("up is parallel to the view, or 0: choose another direction")
+        rotation = looking(ahead, above)
+        focal = height / 2 / math.tan(math.radians(fov) / 2)
+        camera = cls("look_at", width, height, focal, focal, width / 2, height / 2, rotation, -rotation @ at)
+        check_camera(camera)
+        return camera
+
     @property
     def centre(self) -> F64:
         """The position of the camera in the world, float64 [3]."""
@@ -78,6 +108,25 @@ class Camera:
         """Returns the camera of the same view, with an image of another number of pixels."""
         x, y = width / self.width, height / self.height
         return replace(self, width=width, height=height, fx=self.fx * x, fy=self.fy * y, cx=self.cx * x, cy=self.cy * y)
+
+
+def _point(name: str, value: ArrayLike) -> F64:
+    """Returns a point or a direction, float64 [3]. Raises ValueError."""
+    point = np.asarray(value, np.float64)
+    if point.shape != (3,) or not np.isfinite(point).all():
+        raise ValueError(f"{name} is {value!r}, but must be three finite numbers")
+    return point
+
+
+def looking(direction: F64, up: F64) -> F64:
+    """Returns the rotation, float64 [3, 3], of a camera that looks along a direction with `up` upwards in its image.
+
+    direction, up: float64 [3], not parallel.
+    """
+    z = direction / np.linalg.norm(direction)
+    x = np.cross(z, up)
+    x /= np.linalg.norm(x)
+    return np.stack([x, np.cross(z, x), z])
 
 
 def check_camera(camera: Camera) -> None:

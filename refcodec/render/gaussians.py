@@ -35,11 +35,11 @@ class Gaussians:
     anchor, offset: int64 [n], the anchor and the offset that each comes from.
     """
 
-    mean: NDArray
-    lengths: NDArray
-    quaternion: NDArray
-    opacity: NDArray
-    colour: NDArray
+    mean: NDArray[Any]
+    lengths: NDArray[Any]
+    quaternion: NDArray[Any]
+    opacity: NDArray[Any]
+    colour: NDArray[Any]
     anchor: NDArray[np.int64]
     offset: NDArray[np.int64]
 
@@ -77,7 +77,7 @@ def check_static(info: RenderInfo) -> None:
         )
 
 
-def _network(layers: list[Layer], values: NDArray) -> NDArray:
+def _network(layers: list[Layer], values: NDArray[Any]) -> NDArray[Any]:
     """SPEC 14.3, RENDER_NETWORK."""
     for number, (weight, bias) in enumerate(layers):
         values = values @ weight.T.astype(values.dtype) + bias.astype(values.dtype)
@@ -86,7 +86,7 @@ def _network(layers: list[Layer], values: NDArray) -> NDArray:
     return values
 
 
-def _logistic(x: NDArray) -> NDArray:
+def _logistic(x: NDArray[Any]) -> NDArray[Any]:
     """Returns 1 / (1 + exp(-x)), without overflow."""
     tail = np.exp(-np.abs(x))
     return np.where(x >= 0, 1 / (1 + tail), tail / (1 + tail))
@@ -150,7 +150,7 @@ def gaussians_of(scene: Scene, camera: Camera, values: Reconstruction | None = N
 
 @np.errstate(over="ignore", invalid="ignore")
 def static_gaussians(
-    numbers: NDArray, masks: NDArray[np.bool_], camera: Camera, dtype: DTypeLike = np.float32
+    numbers: NDArray[Any], masks: NDArray[np.bool_], camera: Camera, dtype: DTypeLike = np.float32
 ) -> Gaussians:
     """SPEC 14.6, STATIC_GAUSSIAN: returns the Gaussians of a static scene for a camera, in the order of 9.4.
 

@@ -14,11 +14,13 @@ from PIL.PngImagePlugin import PngInfo
 
 from ..bitstream.cameras import NamedCamera, cameras
 from ..bitstream.dimensions import RENDERING, STATIC
+from ..bitstream.header import RenderInfo
+from ..bitstream.networks import Layer
+from ..bitstream.reconstruction import Reconstruction, reconstruct
 from ..bitstream.reconstruction import gaussians as splat_of
-from ..bitstream.reconstruction import reconstruct
 from ..bitstream.scene import Scene
 from ..folder.uncompressed import Uncompressed
-from .camera import Camera, axis_direction, check_camera, default_camera, scene_up
+from .camera import Camera, axis_direction, check_camera, default_camera, looking, scene_up
 from .gaussians import Gaussians, check_render_model, gaussians, static_gaussians
 from .rasterise import image
 
@@ -53,6 +55,14 @@ class View:
     info: its render information. camera: its default view. up: a unit vector, float64 [3] (scene_up). values: its
     float32 values. masks: bool [N, K]. networks: the rendering networks. Raises RenderModelError.
     """
+
+    info: RenderInfo
+    masks: NDArray[np.bool_]
+    camera: NamedCamera
+    up: F64
+    values: Reconstruction
+    networks: dict[str, list[Layer]]
+    splat: F32 | None
 
     def __init__(self, scene: Scene | Uncompressed) -> None:
         check_render_model(scene.render)
@@ -134,17 +144,6 @@ def own_camera(stated: NamedCamera) -> Camera:
     if longer <= SIDE_MAX:
         return camera
     return camera.resized(max(camera.width * SIDE_MAX // longer, 1), max(camera.height * SIDE_MAX // longer, 1))
-
-
-def looking(direction: F64, up: F64) -> F64:
-    """Returns the rotation, float64 [3, 3], of a camera that looks along a direction with `up` upwards in its image.
-
-    direction, up: float64 [3], not parallel.
-    """
-    z = direction / np.linalg.norm(direction)
-    x = np.cross(z, up)
-    x /= np.linalg.norm(x)
-    return np.stack([x, np.cross(z, x), z])
 
 
 def eight_bits(image: F32) -> U8:

@@ -99,6 +99,8 @@ def open_log(path: Path) -> Log:
 class Logging:
     """Writes a log when there is a new row. One that cannot be written does not end the training."""
 
+    log: Log
+
     def __init__(self, log: Log, rows: Sequence[Row]) -> None:
         """rows: those before the interrupt, if training continues."""
         self.log, self._count, self._said = log, -1 if rows else 0, False

@@ -38,6 +38,13 @@ class Looks(Stage):
     steps, dB. seconds: the training time. pace: of its steps.
     """
 
+    settings: LookSettings
+    views: Views
+    estimate: Callable[[], dict[str, float]]
+    clock: Clock
+    seconds: float
+    pace: Pace
+
     name = "looks"
 
     def __init__(

@@ -22,6 +22,11 @@ class Pace:
     means: seconds of a step before the rate and with it. counts: the steps in these means, at most LATELY.
     """
 
+    clock: Clock
+    coded: bool
+    counts: list[float]
+    means: list[float]
+
     def __init__(self, clock: Clock, coded: bool) -> None:
         self.clock, self.coded = clock, coded
         self.counts, self.means = [0.0, 0.0], [0.0, 0.0]

@@ -39,6 +39,11 @@ class RenderNetworks(nn.Module):
     they are 1.
     """
 
+    width: int
+    degree: int | None
+    view_inputs: int
+    gridded: bool
+
     def __init__(
         self, columns: Columns, generator: torch.Generator, width: int = RENDER_WIDTH, degree: int | None = None
     ) -> None:

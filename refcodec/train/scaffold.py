@@ -23,7 +23,7 @@ from .rate_model.model import OFFSETS
 from .rendering_networks import RenderNetworks
 from .settings import CHOSEN, TrainSettings
 from .spawn import spawn
-from .start import LATTICE_MAX, first_anchors
+from .start import LATTICE_MAX, Units, first_anchors
 from .state import Saved
 from .visible import visible
 
@@ -47,6 +47,19 @@ class Scaffold:
 
     The lattice is an array. All other values are tensors on the device of the training run.
     """
+
+    device: torch.device
+    units: Units
+    lattice: I64
+    near: float
+    low_pass: float
+    columns: Columns
+    tables: dict[str, torch.Tensor]
+    first: dict[str, torch.Tensor]
+    second: dict[str, torch.Tensor]
+    networks: RenderNetworks
+    position: torch.Tensor
+    stretch: torch.Tensor
 
     def __init__(
         self,

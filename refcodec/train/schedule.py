@@ -19,6 +19,12 @@ class Clock:
     and the share of the schedule that was done there.
     """
 
+    phases: tuple[Phase, ...]
+    steps: int
+    done: int
+    first: int
+    base: float
+
     def __init__(self, phases: Sequence[Phase], steps: int) -> None:
         self.phases, self.steps = tuple(phases), steps
         self.done = self.first = 0

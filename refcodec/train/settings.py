@@ -493,7 +493,7 @@ class FitSettings:
 
 
 # What differs in a training of a static scene, by own measurements (docs/method.md).
-STATIC_CHANGES = {
+STATIC_CHANGES: dict[str, bool | float] = {
     "static": True,
     "masks.share": 0.9,
     "learning.opacity.start": 0.016,

@@ -223,6 +223,9 @@ def save(training: Savable, path: Path) -> None:
 class Keeper:
     """Saves the state of training at intervals. A failure to save does not end training."""
 
+    training: Savable
+    path: Path
+
     def __init__(self, training: Savable, path: Path) -> None:
         self.training, self.path = training, path
         self._reported = False

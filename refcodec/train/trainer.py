@@ -61,6 +61,16 @@ class Trainer:
     device the noise of steps and the anchors whose bits count. On the CPU both are the same generator.
     """
 
+    settings: TrainSettings
+    photographs: PhotographSet
+    device: torch.device
+    random: torch.Generator
+    noise: torch.Generator
+    clock: Clock
+    scaffold: Scaffold
+    views: Views
+    looks: Looks
+
     def __init__(
         self,
         photographs: PhotographSet,

@@ -29,6 +29,12 @@ def pixels(photograph: Photograph, device: torch.device | str = "cpu") -> Tensor
 class Views:
     """Draws images in training. cameras: those of the photographs to learn from, in training units."""
 
+    photographs: PhotographSet
+    scaffold: Scaffold
+    stages: Iterable[Stage]
+    cameras: list[Camera]
+    settings: Settings
+
     def __init__(self, photographs: PhotographSet, scaffold: Scaffold, stages: Iterable[Stage]) -> None:
         """stages: those that change the values to draw; the training adds to them later."""
         self.photographs, self.scaffold, self.stages = photographs, scaffold, stages

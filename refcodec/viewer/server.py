@@ -21,6 +21,9 @@ _RANGE = re.compile(r"bytes=(\d{0,18})-(\d{0,18})", re.ASCII)
 class Server(ThreadingHTTPServer):
     """Serves the page at / and the file at /scene.c3gs, also ranges of its bytes (RFC 9110, chapter 14)."""
 
+    page: bytes
+    file: Callable[[], BinaryIO]
+
     daemon_threads = True
 
     def __init__(self, page: bytes, file: Callable[[], BinaryIO], port: int = 0) -> None:

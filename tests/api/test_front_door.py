@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import io
 import re
 import subprocess
 import sys
@@ -25,6 +26,7 @@ from refcodec.bitstream.metadata import with_metadata
 from refcodec.bitstream.reconstruction import digest, reconstruct
 from refcodec.bitstream.scene import Ancillary, take_anchors
 from refcodec.bitstream.scene import Scene as CodedScene
+from refcodec.cli.main import main
 from refcodec.files.remote import RemoteFile
 from refcodec.folder.layout import SceneFolderError
 from refcodec.native.library import paths
@@ -174,6 +176,141 @@ def test_a_file_comes_back_as_it_was(scene: refcodec.Scene) -> None:
     assert sum(scene.sizes.values()) == len(data)
     # A scene without a file is encoded for its sizes.
     assert refcodec.Scene(scene.coded).sizes == scene.sizes
+
+
+class _Stream(io.RawIOBase):
+    """A file object that cannot be moved in, and that returns at most seven bytes at once, as a socket may."""
+
+    def __init__(self, data: bytes) -> None:
+        self._file = io.BytesIO(data)
+
+    def readable(self) -> bool:
+        return True
+
+    def read(self, size: int = -1) -> bytes:
+        return self._file.read(min(size, 7))
+
+
+class _Short(io.BytesIO):
+    """A file object that can be moved in, and that returns at most seven bytes at once, as a raw file may."""
+
+    def read(self, size: int | None = -1) -> bytes:
+        return super().read(min(size or 0, 7))
+
+
+def test_file_objects(tmp_path: Path) -> None:
+    """Seekable ones are read on request, from their start, and others once. All stay open."""
+    data = TINY.read_bytes()
+    with open(TINY, "rb") as stored, open(TINY, "rb", buffering=0) as raw:
+        stored.seek(5)
+        for file in (stored, raw, io.BytesIO(data), _Short(data), _Stream(data)):
+            with refcodec.open(file) as found:
+                assert found.byte_count == len(data)
+                assert refcodec.encode(found.decode()) == data
+            assert not file.closed
+    # What is behind the file is not read.
+    endless = _Stream(data + bytes(1 << 16))
+    with pytest.raises(refcodec.BitstreamError) as caught:
+        refcodec.decode(endless)
+    assert caught.value.kind.code == 321
+    assert endless._file.tell() == len(data) + 1
+    with pytest.raises(refcodec.BoundPassedError):
+        refcodec.decode(_Stream(data), max_memory=1000)
+    for wrong in (io.StringIO("text"), None, 7):
+        with pytest.raises(TypeError, match="in binary mode is required"):
+            refcodec.open(wrong)  # type: ignore[arg-type]
+
+
+def test_save(tmp_path: Path) -> None:
+    """To a path, which is replaced, and to a file object."""
+    scene, path, held = refcodec.decode(TINY), tmp_path / "scene.c3gs", io.BytesIO()
+    path.write_bytes(b"older")
+    scene.save(path)
+    scene.save(str(tmp_path / "again.c3gs"))
+    scene.save(held)
+    assert path.read_bytes() == (tmp_path / "again.c3gs").read_bytes() == held.getvalue() == TINY.read_bytes()
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["again.c3gs", "scene.c3gs"]
+
+
+def test_export_of_a_static_scene(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """It has the bytes of the command's files."""
+    static = TRAINED.with_name("static-degree-2.c3gs")
+    outputs = [tmp_path / f"a.{suffix}" for suffix in ("ply", "spz", "glb")]
+    scene = refcodec.decode(static)
+    assert scene.export(*outputs) is scene.splats
+    assert main(["export", str(static), *(f"-o{path.with_stem('b')}" for path in outputs)]) == 0
+    for path in outputs:
+        assert path.read_bytes() == path.with_stem("b").read_bytes()
+    scene.export(outputs[1], spz_bits=4)
+    assert outputs[1].stat().st_size < (tmp_path / "b.spz").stat().st_size
+    for wrong, said in (({"degree": 0}, "needs no fit"), ({"spz_bits": 9}, "from 4 to 8")):
+        with pytest.raises(ValueError, match=said):
+            scene.export(outputs[0], **wrong)  # type: ignore[arg-type]
+    # Nothing is written if an output has no format.
+    with pytest.raises(ValueError, match=r"allowed are \.ply, \.spz, \.sog, \.glb"):
+        scene.export(tmp_path / "c.ply", tmp_path / "c.obj")
+    assert not (tmp_path / "c.ply").exists()
+
+
+def test_export_of_another_scene(
+    scene: refcodec.Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One fit makes all outputs, the same as those of the command."""
+    pytest.importorskip("numba")
+    from refcodec.export import fit, views  # noqa: PLC0415
+
+    fits, whole = [], fit.fit
+    monkeypatch.setattr(fit, "fit", lambda *given: fits.append(given) or whole(*given))
+    monkeypatch.setattr(views, "AROUND", 18)
+    monkeypatch.setattr(views, "SIDE", 32)
+    outputs = [tmp_path / "a.ply", tmp_path / "a.glb"]
+    found = scene.export(*outputs, degree=1, iterations=0)
+    assert len(fits) == 1
+    assert (found.degree, found.mean.flags.writeable) == (1, False)
+    words = ["export", str(TRAINED), "-o", str(tmp_path / "b.ply"), "--degree", "1", "--iterations", "0"]
+    assert main(words) == 0
+    assert outputs[0].read_bytes() == (tmp_path / "b.ply").read_bytes()
+    # Without outputs it returns the Gaussians only.
+    seen = scene.export(degree=0, iterations=0, cameras=[scene.camera])
+    assert 0 < len(seen.mean) <= scene.masks.sum()
+    assert [camera.name for camera in fits[-1][1]] == [scene.camera.name]
+    for wrong in ({"degree": 4}, {"iterations": -1}, {"cameras": []}, {"cameras": [None]}):
+        with pytest.raises(ValueError, match=r"must be|is empty"):
+            scene.export(**wrong)  # type: ignore[arg-type]
+
+
+def test_a_camera_looks_at_a_point(scene: refcodec.Scene) -> None:
+    """SPEC 14.2: the point is in the middle of the image, and what is above it is in the upper half."""
+    camera = refcodec.Camera.look_at((3, -4, 2), (1, 1, 1), scene.up, 640, 480, fov=60)
+    assert np.allclose(camera.centre, (3, -4, 2))
+    assert np.allclose(camera.rotation @ camera.rotation.T, np.eye(3))
+    assert np.linalg.det(camera.rotation) > 0
+
+    def pixel(point: Any) -> tuple[float, float, float]:
+        x, y, z = camera.rotation @ point + camera.translation
+        return camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy, z
+
+    middle = np.ones(3)
+    assert np.allclose(pixel(middle)[:2], (320, 240))
+    assert pixel(middle)[2] > 0
+    assert pixel(middle + scene.up)[1] < 240
+    # The upper edge is half of the angle above the middle.
+    edge = np.tan(np.radians(30)) * np.linalg.norm(middle - camera.centre)
+    assert np.allclose(pixel(middle - edge * camera.rotation[1])[1], 0)
+    assert len(scene.gaussians(camera).mean)
+    for change, said in (
+        ({"target": (3, -4, 2)}, "the target is at the eye"),
+        ({"up": (2, -5, 1)}, "up is parallel"),
+        ({"up": (0, 0, 0)}, "up is parallel"),
+        ({"eye": (0, 0)}, "eye is"),
+        ({"eye": (0, 0, float("nan"))}, "eye is"),
+        ({"fov": 180}, "below 180"),
+        ({"width": 0}, "whole numbers above 0"),
+        ({"width": 1.5}, "whole numbers above 0"),
+    ):
+        given = {"eye": (3, -4, 2), "target": (1, 1, 1), "up": (0, 0, 1), "width": 640, "height": 480, "fov": 60}
+        with pytest.raises(ValueError, match=said):
+            refcodec.Camera.look_at(**{**given, **change})  # type: ignore[arg-type]
 
 
 def test_values_have_the_stated_shapes(scene: refcodec.Scene) -> None:
@@ -402,6 +539,8 @@ def test_a_notebook_shows_a_scene(
     """Its figures, its bytes by part, and an image of it, or else some of its points."""
     if without:
         without(monkeypatch)
+    else:
+        pytest.importorskip("numba")
     text = refcodec.Scene(scene.coded, scene.sizes)._repr_html_()
     assert f"{scene.anchor_count:,}" in text
     for name, size in scene.sizes.items():

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
+from numpy.typing import NDArray
 
 from conformance.cases.scenes import (
     CONSTANT,
@@ -23,7 +25,7 @@ from refcodec.bitstream.attributes import ATTRIBUTE_SYMBOL_MAX
 from refcodec.bitstream.dimensions import Dimensions
 from refcodec.bitstream.header import Lanes
 from refcodec.bitstream.limits import MAIN
-from refcodec.bitstream.scene import Ancillary, Scene
+from refcodec.bitstream.scene import Ancillary, Scene, check_types
 from refcodec.encoder.quantise import packed
 
 
@@ -238,3 +240,11 @@ def test_symbols_past_their_type_and_stale_steps_are_refused() -> None:
     scene.networks["carm.1"][0][0][2, 1] = 1e9
     with pytest.raises(ValueError, match=r"carm\.1\.0.*row 2,"):
         codec.emit(scene)
+
+
+def test_types_by_an_alias() -> None:
+    """NDArray is one from NumPy 2.5 on: an annotation that has its class as a value."""
+    alias = SimpleNamespace(__value__=NDArray[np.int32])
+    check_types(np.zeros(3), alias)
+    with pytest.raises(TypeError, match="must be ndarray"):
+        check_types([0], alias)

@@ -38,7 +38,7 @@ from refcodec.bitstream.reader import Reader
 from refcodec.bitstream.reconstruction import Reconstruction, digest
 from refcodec.bitstream.scene import Ancillary
 from refcodec.cli import shared
-from refcodec.cli.main import GROUPS, _parser, main
+from refcodec.cli.main import GROUPS, main, make_parser
 from refcodec.folder.read import read_folder
 from refcodec.folder.uncompressed import Uncompressed, write_uncompressed
 from refcodec.folder.write import write_folder
@@ -458,7 +458,7 @@ def test_each_argument_has_a_help_text():
 
     found = [
         f"{name}: {action.dest}"
-        for name, parser in parsers(_parser(list(GROUPS)))
+        for name, parser in parsers(make_parser(list(GROUPS)))
         for action in parser._actions
         if not action.help
     ]

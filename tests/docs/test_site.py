@@ -14,6 +14,7 @@ from docs import chapters, vectors
 from docs.__main__ import build
 from docs.stage import ORDER, stage
 from refcodec.bitstream.errors import REGISTRY
+from refcodec.cli.main import GROUPS
 from refcodec.inspect import specification
 
 BUILDER = ("sphinx", "myst_parser", "furo")
@@ -71,6 +72,18 @@ def test_staged_links_lead_somewhere(tmp_path: Path) -> None:
         bare = chapters.CODE.sub("", path.read_text(encoding="utf-8"))
         for place in re.findall(r"\]\(([^)#\s]+)", bare):
             assert "://" in place or (path.parent / place).is_file(), f"{path.name}: {place}"
+
+
+def test_the_page_of_commands(tmp_path: Path) -> None:
+    """It has the help of every command, whatever the terminal."""
+    stage(tmp_path)
+    text = (tmp_path / "commands.md").read_text(encoding="utf-8")
+    heads = re.findall(r"^## (.+)$", text, re.MULTILINE)
+    assert {f"refcodec {name}" for names in GROUPS.values() for name in names} < set(heads)
+    assert "conformance run" in heads
+    assert len(re.findall(r"^usage: ", text, re.MULTILINE)) == len(heads)
+    assert "<!--" not in text
+    assert max(map(len, text.splitlines())) <= 120
 
 
 @pytest.fixture(scope="module")

@@ -91,11 +91,11 @@ def test_the_cells(tmp_path: Path) -> None:
 def test_settings_are_those_of_the_command(tmp_path: Path) -> None:
     """The settings in a definition are what `refcodec train` makes of the cell's command."""
     from refcodec.cli.learning import _settings  # noqa: PLC0415
-    from refcodec.cli.main import GROUPS, _parser  # noqa: PLC0415
+    from refcodec.cli.main import GROUPS, make_parser  # noqa: PLC0415
 
     for cell in cells(read(tmp_path)):
         train = cell.commands(Path("w"), Path("photographs"), 1)[0]
-        assert _settings(_parser(list(GROUPS)).parse_args([*train.arguments, *train.free])) == cell.settings
+        assert _settings(make_parser(list(GROUPS)).parse_args([*train.arguments, *train.free])) == cell.settings
 
 
 def test_where_photographs_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

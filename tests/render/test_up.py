@@ -23,13 +23,14 @@ from refcodec.render.camera import (
     axis_direction,
     default_camera,
     level_up,
+    looking,
     nearest_axis,
     scene_up,
     spread_cameras,
     up_axis,
     up_direction,
 )
-from refcodec.render.view import View, looking
+from refcodec.render.view import View
 
 Rig = tuple[list[Camera], np.ndarray]
 Z = np.array([0.0, 0.0, 1.0])

@@ -26,7 +26,8 @@ from refcodec.bitstream.cameras import CAMERAS, NamedCamera, emit_cameras  # noq
 from refcodec.bitstream.scene import Ancillary  # noqa: E402
 from refcodec.cli.main import main  # noqa: E402
 from refcodec.evaluate.quality import measures  # noqa: E402
-from refcodec.render.view import View, eight_bits, gif, looking, own_camera, png  # noqa: E402
+from refcodec.render.camera import looking  # noqa: E402
+from refcodec.render.view import View, eight_bits, gif, own_camera, png  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[2]
 PHOTOGRAPHS = ROOT / "examples" / "photographs" / "caliterra"

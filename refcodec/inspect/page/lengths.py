@@ -69,6 +69,12 @@ class Tally:
     counts: int64 [channels, places], the histogram of each channel. channel_bits: float64 [channels].
     """
 
+    symbols: int
+    bits: float
+    expected: float
+    counts: Int64
+    channel_bits: F64
+
     def __init__(self, channels: int) -> None:
         self.symbols = 0
         self.bits = self.expected = 0.0

@@ -39,6 +39,8 @@ class Sample:
     attributes. kept: int64 [n], its number of kept offsets.
     """
 
+    step: int
+
     def __init__(self, anchors: int) -> None:
         """anchors: N."""
         self.step = max(1, -(-anchors // SAMPLE_MAX))
@@ -67,6 +69,15 @@ class Measures:
     kept: int64 [K + 1], the number of anchors by kept offsets. kept_bits: their bits of attributes.
     scene: with the planes and networks, and no anchor. It is set by `finish`.
     """
+
+    tallies: dict[str, Tally]
+    bits: dict[str, float]
+    raw_positions: int
+    anchor_bits: NDArray[np.int64]
+    mask_counts: NDArray[np.int64]
+    kept: NDArray[np.int64]
+    kept_bits: NDArray[np.float64]
+    sample: Sample
 
     def __init__(self, d: Dimensions, anchors: int) -> None:
         """anchors: N."""

@@ -32,6 +32,11 @@ class FoldedMlp(nn.Module):
     them.
     """
 
+    weights: torch.nn.ParameterList
+    biases: torch.nn.ParameterList
+    hidden: int
+    gridded: bool
+
     def __init__(
         self,
         widths: list[int],

@@ -34,6 +34,9 @@ class PlaneSamples:
     corners: int64 [2, n, 4], of the planes of both scales. shares: float32 [2, n, 4], their weights.
     """
 
+    corners: torch.Tensor
+    shares: torch.Tensor
+
     def __init__(self, u: Int64, plane_size: int) -> None:
         """u: integers [n, 2] in [0, 2^16], columns of the plane along u[:, 0]. plane_size: B."""
         corners, shares = [], []

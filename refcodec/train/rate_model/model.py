@@ -50,6 +50,12 @@ class RateModel(nn.Module):
     sarm: None without planes. columns: of the attributes.
     """
 
+    floor: float
+    columns: Columns
+    hyper: FoldedMlp
+    carm: torch.nn.ModuleList
+    latents: torch.nn.Parameter
+
     def __init__(
         self,
         hyperprior: VectorMatrix,

@@ -26,6 +26,11 @@ class Averaging(Stage):
     means: by name, like the values; empty before the first. count: the number of values in them.
     """
 
+    scaffold: Scaffold
+    rate: Rate | None
+    clock: Clock
+    count: int
+
     name = "averaging"
 
     def __init__(self, scaffold: Scaffold, rate: Rate | None, clock: Clock) -> None:

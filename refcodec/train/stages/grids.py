@@ -29,6 +29,13 @@ STATIC_BITS = WEIGHT_MAX.bit_length() + 1
 class Grids(Stage):
     """Puts the weights on grids once, when its phase begins."""
 
+    settings: TrainSettings
+    scaffold: Scaffold
+    rate: Rate
+    views: Views
+    estimate: Callable[[], dict[str, float]]
+    clock: Clock
+
     name = "weights"
 
     def __init__(

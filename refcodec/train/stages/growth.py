@@ -33,6 +33,18 @@ class Growth(Stage):
     opacity, seen: float32 [N], sums of the opacities of an anchor's offsets, and how often each anchor was seen.
     """
 
+    settings: GrowthSettings
+    mask_start: float
+    most: int
+    scaffold: Scaffold
+    clock: Clock
+    random: torch.Generator
+    changed: Callable[[], None]
+    gradient: torch.Tensor
+    drawn: torch.Tensor
+    opacity: torch.Tensor
+    seen: torch.Tensor
+
     name = "growth"
 
     def __init__(

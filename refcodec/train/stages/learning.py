@@ -28,6 +28,11 @@ class Learning(Stage):
     Only the rows that a step has taken are changed.
     """
 
+    settings: LearningSettings
+    scaffold: Scaffold
+    clock: Clock
+    optimiser: torch.optim.Adam
+
     name = "learning"
 
     def __init__(self, settings: LearningSettings, scaffold: Scaffold, clock: Clock) -> None:

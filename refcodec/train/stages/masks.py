@@ -26,6 +26,15 @@ class Masks(Stage):
     weight: float32 [N]. dropped: the number of anchors that were dropped as lost.
     """
 
+    settings: MaskSettings
+    scaffold: Scaffold
+    cameras: list[Camera]
+    clock: Clock
+    changed: Callable[[], None]
+    dropped: int
+    lambda_m: float
+    weight: torch.Tensor
+
     name = "masks"
 
     def __init__(

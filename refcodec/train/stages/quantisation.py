@@ -18,6 +18,11 @@ from ..stage import Sight, Stage, Step
 class Quantisation(Stage):
     """Noise in place of rounding, or rounding, with the same gradients."""
 
+    settings: QuantisationSettings
+    scaffold: Scaffold
+    clock: Clock
+    random: torch.Generator
+
     name = "quantisation"
 
     def __init__(

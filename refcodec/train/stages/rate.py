@@ -18,7 +18,7 @@ from ...encoder.frame import choose_frame
 from ...encoder.sizes import choose_plane_size, choose_width
 from ..adam import ADAM_EPSILON
 from ..optimisers import learning_rate, moments, restore_moments
-from ..rate_model.hyperprior import VectorMatrix
+from ..rate_model.hyperprior import Contexts, VectorMatrix
 from ..rate_model.model import RateModel
 from ..scaffold import Scaffold
 from ..schedule import Clock
@@ -51,6 +51,18 @@ class Rate(Stage):
     After its start it has the model, the frame (SPEC 7.5.1) or None if F_h has no inputs, base_step
     (float32 [3]), the contexts of all anchors, and the optimiser.
     """
+
+    settings: TrainSettings
+    scaffold: Scaffold
+    clock: Clock
+    random: torch.Generator
+    masks: Masks
+    quantisation: Quantisation
+    hyperprior: VectorMatrix
+    frame: Frame | None
+    base_step: torch.Tensor
+    optimiser: torch.optim.Adam
+    contexts: Contexts
 
     name = "rate"
 
