@@ -169,8 +169,9 @@ class Proof:
             return x
         path = Path.now
         total = x * self.repeated[name] if name in self.repeated else x
-        path.oblige(total <= row.bound, f"{row.name}: above {row.bound}")
-        path.oblige(total >= (-row.bound if row.signed else 0), f"{row.name}: below its least value")
+        text = f"{row.name}: not {-row.bound if row.signed else 0} to {row.bound}"
+        path.oblige(total <= row.bound, text)
+        path.oblige(total >= (-row.bound if row.signed else 0), text)
         capacity = row.bits - row.signed
         path.oblige(row.bound < row.below <= 1 << capacity, f"{row.name}: the type does not hold the bound")
         if row.name not in self.reached and path.check() == z3.sat:
