@@ -169,8 +169,9 @@ class Proof:
             return x
         path = Path.now
         total = x * self.repeated[name] if name in self.repeated else x
-        path.oblige(total <= row.bound, f"{row.name}: above {row.bound}")
-        path.oblige(total >= (-row.bound if row.signed else 0), f"{row.name}: below its least value")
+        text = f"{row.name}: not {-row.bound if row.signed else 0} to {row.bound}"
+        path.oblige(total <= row.bound, text)
+        path.oblige(total >= (-row.bound if row.signed else 0), text)
         capacity = row.bits - row.signed
         path.oblige(row.bound < row.below <= 1 << capacity, f"{row.name}: the type does not hold the bound")
         if row.name not in self.reached and path.check() == z3.sat:
@@ -735,6 +736,10 @@ def _weights(_: Proof, b: dict[str, Any]) -> None:
 # ---- 11 and Annex H
 
 
+# "0, or a to b" in 11.1.
+ABSENT = ("plane_size", "sarm_layers")
+
+
 def highest(b: dict[str, Any]) -> dict[str, int]:
     """Returns the last level of Main. The limits of the others are lower."""
     *lower, top = [level for level in b["LEVELS"] if level["profile"] == 1]
@@ -755,7 +760,7 @@ def header(b: dict[str, Any], counts: dict[str, int]) -> dict[str, list[Any]]:
     for name, low, high in b["BOUNDS"][1][:-1]:
         for x in v[name]:
             Path.now.must(x <= high)
-            Path.now.must(x >= (0 if name in ("plane_size", "sarm_layers") else low))
+            Path.now.must(x >= (0 if name in ABSENT else low))
     return v
 
 
@@ -786,7 +791,7 @@ def sizes(b: dict[str, Any], names: tuple[str, ...]) -> dict[str, list[Any]]:
     counts = {name: bounds[name][1] for name in COUNTERS}
     for name in names:
         low, high = bounds[name]
-        choices = list(range(high, low - 1, -1))
+        choices = list(range(high, (0 if name in ABSENT else low) - 1, -1))
         counts[name] = Path.now.take(lambda choices=choices: choices)  # type: ignore[misc]
     v = header(b, counts)
     # As the proof of CHECK_HEADER shows.
