@@ -34,7 +34,7 @@ def sdist(source: Source, folder: Path) -> list[Path]:
 def npm(source: Source, folder: Path) -> list[Path]:
     """Writes the package for npm, with the WebAssembly built again, and its hash. Returns its path.
 
-    It has the files that `npm pack` takes. The licence is that of the project, which npm seeks in the package's folder.
+    It has the files that `npm pack` takes, and the licences, which npm seeks in the package's folder.
     """
     compiler.check(source)
     compiler.webassembly(source)
