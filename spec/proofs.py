@@ -579,7 +579,7 @@ def symbol(b: dict[str, Any], x: Any, word: Any, frequencies: list[Any]) -> tupl
 
 
 def model(b: dict[str, Any], total: int) -> list[Any]:
-    """A symbol with those before and behind it, each of which acts as one with the sum of their frequencies."""
+    """Returns the frequencies of the symbols before the coded one, of it, and of those behind it."""
     frequencies = [fresh(0, total, "frequency") for _ in range(3)]
     Path.now.must(sum(frequencies) == total)
     return frequencies
@@ -587,6 +587,7 @@ def model(b: dict[str, Any], total: int) -> list[Any]:
 
 @proves("DECODE_SYMBOL: 8.2, and states from STATE_MIN to 2^32 - 1")
 def _decode_symbol(_: Proof, b: dict[str, Any]) -> None:
+    """The symbols before the coded one act as one with the sum of their frequencies, and so do those behind it."""
     path = Path.now
     x, word = fresh(b["STATE_MIN"], (1 << 32) - 1, "state"), fresh(0, 0xFFFF, "word")
     found, x, _words = symbol(b, x, word, model(b, 1 << b["PRECISION"]))
@@ -597,6 +598,7 @@ def _decode_symbol(_: Proof, b: dict[str, Any]) -> None:
 
 @proves("rANS: a step of the encoder, then one of the decoder (Annex B.4, 8.2)")
 def _rans(proof: Proof, b: dict[str, Any]) -> None:
+    """The symbols before the coded one act as one with the sum of their frequencies, and so do those behind it."""
     path = Path.now
     text = " ".join(proof.spec.text.partition("### B.4 ")[2].partition("### B.5 ")[0].split())
     steps = re.search(
@@ -871,6 +873,7 @@ def _index(proof: Proof, b: dict[str, Any]) -> None:
 
 @proves("PARSE_HEADER, DECODE_FILE: the last of all sections")
 def _sections(proof: Proof, b: dict[str, Any]) -> None:
+    """A header has as many entries as its length allows, and the sections before the last have the greatest length."""
     fields_before = b["FIRST_FIELDS"][: [name for name, *_ in b["FIRST_FIELDS"]].index("section_count")]
     at = 20 + sum(size * count for _, size, count, _ in fields_before)
     b |= {"U": lambda _, place, __: 2 if place == at else 0, "I": lambda *_: 0, "CRC32": lambda _: 0}
@@ -956,13 +959,11 @@ def main() -> int:
         )
     missing = set(proofs[0].spec.rows).difference(*(proof.reached for proof in proofs))
     open_shifts, summary = shifts(proofs)
-    print(f"7.11: {len(proofs[0].spec.rows)} rows, {len(missing)} of them without a proof")
-    print(summary)
-    print(
-        "\n".join(
-            [f"  no proof: {name}" for name in sorted(missing)]
-            + [f"  not proved: {name}" for name in open_shifts]
-            + [f"  argued: {function}: {reason}" for function, reason in UNTYPED.items()]
-        )
-    )
+    steps = {name: " ".join(body.__doc__.split()) for name, body in BODIES.items() if body.__doc__}
+    lines = [f"7.11: {len(proofs[0].spec.rows)} rows, {len(missing)} of them without a proof"]
+    lines += [f"  no proof: {name}" for name in sorted(missing)]
+    lines += [summary, *(f"  not proved: {name}" for name in open_shifts)]
+    lines += [f"  argued: {function}: {reason}" for function, reason in UNTYPED.items()]
+    lines += ["how, and what z3 does not check:", *(f"  {name}: {text}" for name, text in steps.items())]
+    print("\n".join(lines))
     return 1 if missing or open_shifts or any(proof.fault for proof in proofs) else 0

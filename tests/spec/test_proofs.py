@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Any
 
 import pytest
-from _pytest.mark import ParameterSet
 
 from spec import proofs
 from spec.decoder import SPEC
@@ -104,7 +104,7 @@ def named(start: str) -> str:
     return next(name for name in BODIES if name.startswith(start))
 
 
-def some(names: Iterable[str], starts: dict[str, str], slow: tuple[str, ...]) -> list[ParameterSet]:
+def some(names: Iterable[str], starts: dict[str, str], slow: tuple[str, ...]) -> list[Any]:
     """Returns parameters, slow by the start of their proof."""
     return [pytest.param(n, marks=[pytest.mark.slow] if starts.get(n, n).startswith(slow) else []) for n in names]
 
