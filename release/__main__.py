@@ -110,6 +110,7 @@ def check(folder: Path) -> int:
         if not clone.exists():
             place.mkdir(parents=True, exist_ok=True)
             subprocess.run(["git", "clone", "--quiet", "--no-checkout", source.ROOT, clone], check=True)
+        subprocess.run(["git", "fetch", "--quiet", source.ROOT, commit], cwd=clone, check=True)
         subprocess.run(["git", "checkout", "--quiet", "--detach", commit], cwd=clone, check=True)
         say(f"== in the clone: {name}")
         # The packages of the clone come first.

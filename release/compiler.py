@@ -9,7 +9,6 @@ import os
 import shlex
 import subprocess
 import sys
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -89,9 +88,12 @@ def webassembly(source: Source) -> bytes:
 
 
 def _compile(source: Source, name: str, flags: list[str]) -> bytes:
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / name
-        return _run([sys.executable, "-m", "ziglang", "cc", *flags, "-o", str(path)], source.folder, path)
+    # A library of macOS has the path that was given to the linker in it, thus this has no folder.
+    path = source.folder / name
+    try:
+        return _run([sys.executable, "-m", "ziglang", "cc", *flags, "-o", name], source.folder, path)
+    finally:
+        path.unlink(missing_ok=True)
 
 
 def _run(command: list[str], folder: Path, made: Path) -> bytes:
