@@ -15,10 +15,10 @@ from .results import RESULTS, table
 README = Path(__file__).resolve().parents[1] / "README.md"
 _BEGIN, _END = "<!-- generated:sizes -->", "<!-- /generated -->"
 # The names of the methods in the section. Sizes are those at the PSNR of SPZ.
-BASELINE, OWN, OTHER, PLAIN = "3DGS, SPZ", "C3GS", "3DGS, SOG", "Scaffold-GS"
+BASELINE, OWN = "3DGS, SPZ", ("C3GS", "C3GS, static")
 # The size of the photographs of README.md's table. At this size each method has several rates.
 SIZE = 200
-_HEAD = ("photographs, at equal PSNR", "C3GS", "SPZ", "SOG", "Scaffold-GS as trained")
+_HEAD = ("photographs, at equal PSNR", *OWN, "SPZ")
 
 
 class FrontError(Exception):
@@ -27,18 +27,16 @@ class FrontError(Exception):
 
 @dataclass(frozen=True)
 class Row:
-    """Sizes of a scene in KB at one PSNR, in dB. plain: bytes and PSNR of the uncompressed scene."""
+    """Sizes of a scene in KB at one PSNR, in dB. own: those of OWN, None for one that does not reach it."""
 
     scene: str
     psnr: float
-    own: float
+    own: tuple[float | None, ...]
     baseline: float
-    other: float
-    plain: tuple[int, float]
 
 
 def rows(results: str) -> list[Row]:
-    """Returns a row for each scene of the section, at the highest PSNR that all methods reach. Raises FrontError."""
+    """Returns a row for each scene with a common PSNR, at the highest one. Raises FrontError if there is none."""
     section = re.search(rf"<!-- peers-{SIZE}: begin -->(.*?)<!-- peers-{SIZE}: end -->", results, re.DOTALL)
     scenes = re.findall(r"^### (\w+), .*?\n(.*?)(?=^### |\Z)", section[1] if section else "", re.DOTALL | re.MULTILINE)
     found = [row for scene, text in scenes if (row := _row(scene, text))]
@@ -48,26 +46,22 @@ def rows(results: str) -> list[Row]:
 
 
 def _row(scene: str, text: str) -> Row | None:
-    """Returns the row of a scene. Returns None if the PSNR of the baseline does not grow with its bytes."""
-    plain: tuple[int, float] | None = None
-    points: list[tuple[float, float, float, float]] = []
-    rising: list[float] = []
+    """Returns the row of a scene. Returns None if no method reaches a PSNR of the baseline."""
+    found = []
     for head, cells in _tables(text):
-        named = {_method(name): cell for name, cell in zip(head, cells, strict=True)}
-        if head[0] == "method" and "bytes" in head and _method(cells[0]) == PLAIN:
-            plain = int(_first(named["bytes"]).replace(",", "")), float(_first(named["PSNR, dB"]))
-        if head[0] == "method" and "bytes" in head and _method(cells[0]) == BASELINE:
-            rising.append(float(_first(named["PSNR, dB"])))
-        sizes = [named.get(name, "") for name in (OWN, BASELINE, OTHER)]
-        if head[0] == "PSNR, dB" and all(re.match(r"[\d.]+", size) for size in sizes):
-            psnr, own, baseline, other = (float(cell.partition(", ")[0]) for cell in (cells[0], *sizes))
-            points.append((psnr, own, baseline, other))
-    if rising != sorted(rising):
-        return None
-    if plain is None or not points:
-        raise FrontError(f"{scene} lacks one of {OWN}, {BASELINE}, {OTHER} and {PLAIN}")
-    psnr, own, baseline, other = max(points)
-    return Row(scene, psnr, own, baseline, other, plain)
+        if head[0] != "PSNR, dB" or cells[0] == "BD-rate":
+            continue
+        named = {_method(name): _size(cell) for name, cell in zip(head, cells, strict=True)}
+        own, baseline = tuple(named.get(name) for name in OWN), named[BASELINE]
+        if baseline is not None and any(own):
+            found.append(Row(scene, float(cells[0]), own, baseline))
+    return max(found, key=lambda row: row.psnr, default=None)
+
+
+def _size(cell: str) -> float | None:
+    """Returns the KB of a cell such as `125.3, 4.75`, None for a text."""
+    number = re.match(r"[\d.]+", cell)
+    return float(number[0]) if number else None
 
 
 def _tables(text: str) -> Iterator[tuple[list[str], list[str]]]:
@@ -88,19 +82,12 @@ def _method(name: str) -> str:
     return re.sub(r", \d+ steps$", "", name)
 
 
-def _first(cell: str) -> str:
-    """Returns a figure without its spread."""
-    return cell.split(" ", maxsplit=1)[0]
-
-
 def lines(found: list[Row]) -> list[str]:
     """Returns the lines of the table."""
 
     def words(row: Row) -> list[str]:
-        size, psnr = row.plain
-        times = [f"{kb:,.0f} KB, {kb / row.own:.1f} times" for kb in (row.baseline, row.other)]
-        plain = f"{size / 1000:,.0f} KB at {psnr:.1f} dB"
-        return [f"{row.scene}, {row.psnr:.1f} dB", f"**{row.own:,.0f} KB**", *times, plain]
+        sizes = [f"**{kb:,.0f} KB**, 1/{row.baseline / kb:.1f}" if kb else "-" for kb in row.own]
+        return [f"{row.scene}, {row.psnr:.1f} dB", *sizes, f"{row.baseline:,.0f} KB"]
 
     return table(_HEAD, map(words, found))
 

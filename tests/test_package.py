@@ -22,16 +22,19 @@ ROOT = Path(__file__).resolve().parents[1]
 # Licences of packages that are often not installed, or whose metadata is ambiguous.
 LICENCES = {
     "atheris": "Apache-2.0",
+    "auditwheel": "MIT",
     "bjontegaard": "BSD-3-Clause",
     "constriction": "MIT OR Apache-2.0 OR BSL-1.0",
     # Its classifiers name the GPL too, which applies to an Emacs mode that the wheel does not contain.
     "docutils": "LicenseRef-Public-Domain AND BSD-2-Clause",
     "gsplat": "Apache-2.0",
+    "lief": "Apache-2.0",
     "matplotlib": "PSF-2.0",
     "msgspec": "BSD-3-Clause",
     "numba": "BSD-2-Clause",
     "ray": "Apache-2.0",
     "tensorboard": "Apache-2.0",
+    "ziglang": "MIT",
     "zstandard": "BSD-3-Clause",
 }
 # The MPL is a copyleft of single files: only changes to the files of these packages would be under it.

@@ -94,7 +94,7 @@ def _report(implementation: Implementation, manifest: Manifest, arguments: argpa
     audit(record, manifest)
     path = arguments.folder / decoder["report"]
     with Stage() as stage:
-        stage.write(path, certificates.packed(record))
+        stage.write(path, records.packed(record))
     for line in summary.lines(record, manifest.folder):
         print(line)
     return statuses.DONE

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import gzip
 import json
 import shlex
-import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from refcodec.files.documents import SIZE_MAX, DocumentError, parse_json, read_json
+from refcodec.files.documents import DocumentError, read_json
 
 from ..manifest import Manifest
 from ..report import record as records
@@ -76,20 +74,6 @@ def history_text(history: list[dict[str, Any]]) -> str:
     return "[\n" + ",\n".join(f" {json.dumps(entry)}" for entry in history) + "\n]\n"
 
 
-def read_report(path: Path) -> Any:
-    """Reads a report, a JSON file in gzip. Raises DocumentError for anything else, and OSError."""
-    try:
-        with gzip.open(path) as file:
-            return parse_json(file.read(SIZE_MAX + 1))
-    except (gzip.BadGzipFile, EOFError, zlib.error) as error:
-        raise DocumentError(f"not a file in gzip ({error})") from None
-
-
-def packed(record: dict[str, Any]) -> bytes:
-    """Returns the file of a report. It has no time of its own, so that the same report is the same file."""
-    return gzip.compress(records.text(record).encode(), mtime=0)
-
-
 def of_decoder(
     implementation: Implementation, folder: Path, manifest: Manifest, history: list[dict[str, Any]]
 ) -> Certificate:
@@ -103,7 +87,7 @@ def of_decoder(
     """
     path = folder / implementation.decoder["report"]
     try:
-        record = read_report(path)
+        record = records.read(path)
     except FileNotFoundError:
         return Certificate(implementation, "decoder", "no report", None)
     except DocumentError as error:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import gzip
 import hashlib
 import json
 import platform
 import re
 import shutil
+import zlib
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
@@ -17,7 +19,7 @@ from jsonschema import Draft202012Validator
 from jsonschema.exceptions import ValidationError, best_match
 
 from refcodec import __version__
-from refcodec.files.documents import DocumentError, read_json
+from refcodec.files.documents import SIZE_MAX, DocumentError, parse_json, read_json
 from refcodec.files.text import printable
 from refcodec.inspect.specification import clause_of
 
@@ -80,6 +82,22 @@ def text(record: dict[str, Any]) -> str:
     before, name, after = json.dumps({**record, "vectors": []}, indent=1).rpartition('"vectors": [')
     vectors = ",\n".join(f"  {json.dumps(vector)}" for vector in record["vectors"])
     return f"{before}{name}\n{vectors}\n {after}\n"
+
+
+def read(path: Path) -> Any:
+    """Returns the value of a report's file, JSON or JSON in gzip. Raises DocumentError for others, and OSError."""
+    if path.suffix != ".gz":
+        return read_json(path)
+    try:
+        with gzip.open(path) as file:
+            return parse_json(file.read(SIZE_MAX + 1))
+    except (gzip.BadGzipFile, EOFError, zlib.error) as error:
+        raise DocumentError(f"not a file in gzip ({error})") from None
+
+
+def packed(record: dict[str, Any]) -> bytes:
+    """Returns a record as JSON in gzip, without a time of its own: the same record is the same file."""
+    return gzip.compress(text(record).encode(), mtime=0)
 
 
 def _files(command: Sequence[str]) -> dict[str, str]:
@@ -279,7 +297,7 @@ def check(record: Any) -> None:
 def load(path: Path) -> dict[str, Any]:
     """Reads a record that the schema allows. Raises RecordError or OSError."""
     try:
-        record: dict[str, Any] = read_json(path)
+        record: dict[str, Any] = read(path)
     except DocumentError as error:
         raise RecordError(f"{path}: {error}") from None
     try:

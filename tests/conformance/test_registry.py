@@ -19,8 +19,7 @@ from small_suite import Suite
 from conformance import cli
 from conformance.manifest import MANIFEST
 from conformance.registry import certificates, implementations, matrix, pages
-from conformance.registry.certificates import read_report
-from conformance.report.record import seal
+from conformance.report.record import read, seal
 from refcodec import statuses
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -167,7 +166,7 @@ EDITS: dict[str, Callable[[Record], object]] = {
 @pytest.mark.parametrize("what", EDITS)
 def test_an_edited_report_is_refused(registry: Registry, what: str, capsys: pytest.CaptureFixture[str]) -> None:
     """With the record's own SHA-256 made again, the rest of the content must contradict the edit."""
-    record = read_report(registry.report)
+    record = read(registry.report)
     EDITS[what](record)
     for sealed in (False, True):
         if sealed and what == "the grade":
@@ -181,7 +180,7 @@ def test_an_edited_report_is_refused(registry: Registry, what: str, capsys: pyte
 
 def test_numbers_without_a_second_source(registry: Registry, capsys: pytest.CaptureFixture[str]) -> None:
     """Only the record's SHA-256 covers them."""
-    record = read_report(registry.report)
+    record = read(registry.report)
     # Another form of the same JSON is the same record.
     registry.report.write_bytes(gzip.compress(json.dumps(record, separators=(",", ":")).encode()))
     assert registry.call("--check") == statuses.DONE
@@ -221,7 +220,7 @@ def test_an_earlier_suite(registry: Registry, tmp_path_factory: pytest.TempPathF
     assert registry.call("--check") == statuses.REJECTED
     assert registry.call("--write") == statuses.DONE
     assert "suite 0.0.1: fails 1 (earlier)" in registry.badge()
-    record = read_report(registry.report)
+    record = read(registry.report)
     EDITS["a count"](record)
     registry.write(record | {"sha256": seal(record)})
     assert registry.call("--check") == statuses.USAGE
