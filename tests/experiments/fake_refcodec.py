@@ -12,15 +12,12 @@ import os
 import signal
 import sys
 import time
-from dataclasses import replace
 from pathlib import Path
 
 from PIL import Image
 
-from conformance.cases.scenes import TINY_DIMENSIONS, random_scene
+from conformance.cases.scenes import random_scene
 from refcodec.bitstream.codec import emit, parse
-from refcodec.bitstream.dimensions import STATIC
-from refcodec.bitstream.header import RenderInfo
 from refcodec.bitstream.reconstruction import digest
 from refcodec.cli import main as cli
 from refcodec.folder.write import write_folder
@@ -38,7 +35,6 @@ def train(argv: list[str]) -> int:
         parser.add_argument(name)
     parser.add_argument("--set", action="append")
     parser.add_argument("--up")
-    parser.add_argument("--static", action="store_true")
     parser.add_argument("--resume", action="store_true")
     parser.add_argument("--progress", action="store_true")
     arguments = parser.parse_args(argv)
@@ -64,11 +60,9 @@ def train(argv: list[str]) -> int:
         history.append({"step": done, "seconds": done / 10, "psnr": 20 + done / 10, "anchors": 30, "bytes": 1000})
         print(f"step {done}", file=sys.stderr, flush=True)
     # Fewer anchors at higher rates.
-    anchors = max(5, int(0.1 / arguments.rate)) if arguments.rate else 30
-    d, render = TINY_DIMENSIONS, RenderInfo()
-    if arguments.static:
-        d, render = replace(d, view_inputs=0, colour_outputs=12), RenderInfo(render_model=STATIC)
-    scene = random_scene(73, anchors, d, gain=0.3, base_step=(0.5, 0.125, 0.25), render=render)
+    scene = random_scene(
+        73, 30 if not arguments.rate else max(5, int(0.1 / arguments.rate)), gain=0.3, base_step=(0.5, 0.125, 0.25)
+    )
     scene.networks["opacity"][-1][1][:] = 5
     if arguments.rate:
         write_folder(scene, arguments.output)
