@@ -18,7 +18,7 @@ _BEGIN, _END = "<!-- generated:sizes -->", "<!-- /generated -->"
 BASELINE, OWN = "3DGS, SPZ", ("C3GS", "C3GS, static")
 # The size of the photographs of README.md's table. At this size each method has several rates.
 SIZE = 200
-_HEAD = ("photographs, at equal PSNR", *OWN, "SPZ")
+_HEAD = ("images, at equal PSNR", *OWN, "SPZ")
 
 
 class FrontError(Exception):
@@ -86,7 +86,7 @@ def lines(found: list[Row]) -> list[str]:
     """Returns the lines of the table."""
 
     def words(row: Row) -> list[str]:
-        sizes = [f"**{kb:,.0f} KB**, 1/{row.baseline / kb:.1f}" if kb else "-" for kb in row.own]
+        sizes = [f"**{kb:,.0f} KB**, {row.baseline / kb:.1f} times smaller" if kb else "-" for kb in row.own]
         return [f"{row.scene}, {row.psnr:.1f} dB", *sizes, f"{row.baseline:,.0f} KB"]
 
     return table(_HEAD, map(words, found))

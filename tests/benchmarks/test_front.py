@@ -34,7 +34,7 @@ def test_a_row_is_that_of_the_section() -> None:
     """At the highest PSNR that a scene of C3GS reaches; a scene without one has no row."""
     (row,) = front.rows(SECTION)
     assert row == front.Row("one", 31.0, (40.0, None), 160.0)
-    assert front.lines([row])[-1] == "| one, 31.0 dB | **40 KB**, 1/4.0 | - | 160 KB |"
+    assert front.lines([row])[-1] == "| one, 31.0 dB | **40 KB**, 4.0 times smaller | - | 160 KB |"
 
 
 def test_it_needs_a_scene() -> None:
