@@ -29,7 +29,7 @@ _PROCESSORS = {
     "amd64": {"AMD64"},
 }
 _LIBRARIES = {
-    "manylinux": r"lib(?:c\.so\.6|pthread\.so\.0)|ld-linux-(?:x86-64\.so\.2|aarch64\.so\.1)",
+    "manylinux": r"lib(?:[cm]\.so\.6|pthread\.so\.0)|ld-linux-(?:x86-64\.so\.2|aarch64\.so\.1)",
     "musllinux": r"libc\.so",
     "macosx": r"/usr/lib/libSystem\.B\.dylib",
     "win": r"(?i:kernel32|ntdll|api-ms-win-crt-[\w-]+)\.dll",
