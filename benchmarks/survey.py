@@ -20,55 +20,41 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from refcodec.experiments.cells import read_result
 from refcodec.files.stage import write_file
 from refcodec.statuses import DONE, USAGE
+
+from .peers.cells import USUAL, results
 
 HEAD = ("Method", "Submethod", "PSNR", "SSIM", "LPIPS", "Size [Bytes]", "#Gaussians", "Data Source", "Comment")
 SOURCE = "refcodec experiment"
 
-# Scene, method, rate and result of a cell.
-Cell = tuple[str, str, float, dict[str, Any]]
-
-
-def cells(folder: Path) -> list[Cell]:
-    """Returns the complete cells of coded scenes in an output folder of `refcodec experiment`."""
-    found = []
-    for place in sorted(folder.glob("cells/*/*/rate-*/seed-*")):
-        result = read_result(place)
-        if result is not None and (rate := result["definition"]["settings"]["rate"]["weight"]):
-            found.append((place.parents[2].name, place.parents[1].name, rate, result))
-    return found
+# Scene, method and result of a cell.
+Cell = tuple[str, str, dict[str, Any]]
 
 
 def rows(found: Iterable[Cell], scenes: Iterable[str]) -> list[tuple[str, ...]]:
     """Returns the survey's rows of a data set, by method, and by rate from the highest to the lowest."""
     wanted = set(scenes)
-    groups: dict[tuple[str, float], dict[str, list[dict[str, Any]]]] = defaultdict(lambda: defaultdict(list))
-    for scene, method, rate, result in found:
-        if scene in wanted:
-            groups[method, -rate][scene].append(result)
-    made = []
+    groups: dict[tuple[str, float], dict[str, list[tuple[float, ...]]]] = defaultdict(lambda: defaultdict(list))
+    for scene, method, result in found:
+        rate, mean = result["definition"]["settings"]["rate"]["weight"], result["mean"]
+        if scene in wanted and rate:
+            values = mean["psnr_3dgs"], mean["ssim_3dgs"], result["bytes"], result["anchors"]
+            groups[method, -rate][scene].append(values)
+    made: list[tuple[str, ...]] = []
     for (method, rate), by_scene in sorted(groups.items()):
         if set(by_scene) != wanted:
             continue
-        values = [
-            [result["mean"]["psnr_3dgs"], result["mean"]["ssim_3dgs"], result["bytes"], result["anchors"]]
-            for results in by_scene.values()
-            for result in [_mean(results)]
-        ]
-        psnr, ssim, size, anchors = map(statistics.fmean, zip(*values, strict=True))
-        name = "c3gs" if method == "pro" else f"c3gs-{method}"
+        psnr, ssim, size, anchors = _means(map(_means, by_scene.values()))
+        name = "c3gs" if method in USUAL else f"c3gs-{method}"
         seeds = min(map(len, by_scene.values()))
         figures = (f"{psnr:.2f}", f"{ssim:.3f}", "", f"{size:.0f}", f"{anchors:.1f}")
         made.append((name, f"-rate-{-rate:g}", *figures, SOURCE, f"{len(wanted)} scenes, {seeds} seeds or more"))
     return made
 
 
-def _mean(results: list[dict[str, Any]]) -> dict[str, Any]:
-    """Returns the figures of one scene, means over its seeds."""
-    mean = {name: statistics.fmean(r["mean"][name] for r in results) for name in ("psnr_3dgs", "ssim_3dgs")}
-    return {"mean": mean, **{name: statistics.fmean(r[name] for r in results) for name in ("bytes", "anchors")}}
+def _means(rows: Iterable[tuple[float, ...]]) -> tuple[float, ...]:
+    return tuple(map(statistics.fmean, zip(*rows, strict=True)))
 
 
 def main(arguments: list[str]) -> int:
@@ -78,7 +64,7 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("data_sets", nargs="+", metavar="NAME=SCENE,...")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="OUT")
     chosen = parser.parse_args(arguments)
-    found = cells(chosen.folder)
+    found = list(results(chosen.folder))
     for text in chosen.data_sets:
         name, _, scenes = text.partition("=")
         made = rows(found, filter(None, scenes.split(",")))

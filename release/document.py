@@ -6,13 +6,13 @@ import base64
 import hashlib
 import html
 import re
-import shutil
 import subprocess
 import tempfile
 import time
 from functools import cache
 from pathlib import Path
 
+from benchmarks.chromium import NAMES, find
 from docs import chapters
 from refcodec.bitstream.errors import REGISTRY
 from refcodec.inspect import specification
@@ -21,7 +21,6 @@ from refcodec.statuses import UsageError
 from .source import Source
 from .statements import when
 
-BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 _SECONDS = 600
 # Targets of MyST before a requirement, in the Markdown of docs.chapters.
 _STATED = re.compile(r"^- \((\S+)\)=\n  \*\*\\\[(\S+?)\\\]\*\*", re.MULTILINE)
@@ -69,9 +68,9 @@ def pdf(source: Source, folder: Path) -> list[Path]:
 
     Its dates are those of the commit. The fonts and the pages are those of this machine's Chromium.
     """
-    browser = next(filter(None, map(shutil.which, BROWSERS)), None)
+    browser = find()
     if browser is None:
-        raise UsageError(f"the PDF needs a browser, one of {', '.join(BROWSERS)}: install it")
+        raise UsageError(f"the PDF needs a browser, one of {', '.join(NAMES)}: install it")
     path = folder / name_of(source, "pdf")
     with tempfile.TemporaryDirectory() as name:
         made = Path(name) / "made.pdf"

@@ -15,7 +15,7 @@ from .compiler import TARGETS
 
 @dataclass(frozen=True)
 class Part:
-    """A part. name: its project's. licence: an SPDX expression. files: with its licence, in the package ziglang."""
+    """A part. name: its project's. licence: an SPDX identifier. files: with its licence, in the package ziglang."""
 
     name: str
     licence: str

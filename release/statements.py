@@ -103,12 +103,8 @@ def bill(source: Source, metadata: str, tag: str, parts: list[Part]) -> bytes:
     )
 
 
-def _licence(expression: str) -> dict[str, object]:
-    return {"expression": expression} if " " in expression else {"license": _one(expression)}
-
-
-def _one(name: str) -> dict[str, str]:
-    return {"name": name} if name.startswith("LicenseRef-") else {"id": name}
+def _licence(identifier: str) -> dict[str, object]:
+    return {"license": {"name" if identifier.startswith("LicenseRef-") else "id": identifier}}
 
 
 def statement(source: Source, folder: Path) -> list[Path]:

@@ -37,8 +37,8 @@ BASELINE = "3DGS, SPZ, 4000 steps"
 RESULTS_NOTE = (
     "One thread each. Every eighth image is held out, or the 25 of playbot's own split. PSNR and SSIM are those of",
     "eight-bit images, by scikit-image. SPZ 4 and SOG 2 are decoded before rendering. Bytes are those of the file,",
-    "processor seconds those of the training. A spread is the standard deviation of the seeds. Scaffold-GS has 50",
-    "features at 200 pixels, and 12 at larger sizes.",
+    "processor seconds those of the training. A spread is the standard deviation of the seeds. All methods draw with a",
+    "low-pass filter of 0.1 square pixels.",
     "playbot is rendered from a splat of 31,000 Gaussians, PLAYBOT by Stephane Agullo (https://sa3d.fr), CC-BY-4.0, by",
     "`python -m benchmarks.peers.scene playbot_lod3.ply -o playbot --views 100 --tests 25 --size 400 --up=-y`.",
 )

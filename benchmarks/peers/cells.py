@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 from refcodec.experiments.cells import read_result
 from refcodec.experiments.tables import MARKDOWN
@@ -21,21 +22,24 @@ def experiment_name(folder: Path) -> str:
     return (folder / MARKDOWN).read_text(encoding="utf-8").splitlines()[0].removeprefix("# ")
 
 
+def results(folder: Path) -> Iterator[tuple[str, str, dict[str, Any]]]:
+    """Yields scene, method and result of the complete cells of an output folder of `refcodec experiment`."""
+    for place in sorted(folder.glob("cells/*/*/rate-*/seed-*")):
+        if (result := read_result(place)) is not None:
+            yield place.parents[2].name, place.parents[1].name, result
+
+
 def experiment_records(folder: Path) -> Iterator[Record]:
     """Returns the complete cells of an output folder of `refcodec experiment`.
 
     Seconds are the processor seconds of the whole command `train`.
     """
-    for place in sorted(folder.glob("cells/*/*/rate-*/seed-*")):
-        result = read_result(place)
-        if result is None:
-            continue
+    for scene, method, result in results(folder):
         settings = result["definition"]["settings"]
-        method = place.parent.parent.name
         kind = CODED if settings["rate"]["weight"] else PLAIN
         mean = result["mean"]
         yield {
-            "scene": place.parent.parent.parent.name,
+            "scene": scene,
             "method": method,
             "strength": settings["rate"]["weight"],
             "seed": settings["seed"],

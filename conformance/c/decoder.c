@@ -150,8 +150,8 @@ enum { STATUS_REFUSED = 1, STATUS_UNSUPPORTED = 2, STATUS_USAGE = 64 };
 
 /* ---------------------------------------------------------------- memory, input and output */
 
-/* All allocated memory, so that every exit can release it. BLOCKS_MAX is more than a file needs: three blocks for each of
-   57 layers, and about 30 others. */
+/* All allocated memory, so that every exit can release it. BLOCKS_MAX is more than a file needs: three for each of 57
+   layers, and about 30 others. */
 enum { BLOCKS_MAX = 256 };
 static void *blocks[BLOCKS_MAX]; /* or null pointers */
 
@@ -192,8 +192,8 @@ _Noreturn static void FAIL(const char *message)
     exit(STATUS_USAGE);
 }
 
-/* not of the specification: says again what earlier checks give, where an access or an operation depends on it. So a mistake
-   in them is no undefined behaviour. */
+/* not of the specification: says again what earlier checks give, where an access or an operation depends on it. A
+   mistake in them is then no undefined behaviour. */
 #define SURE(condition) ((condition) ? (void)0 : FAIL("a check is missing: please report this file"))
 
 /* 10.1, 10.2: the first error ends the decoding */

@@ -1,12 +1,12 @@
 /* A target of libFuzzer: the decoder in C, and the native kernel beside it.
  *
- * An input is a file. The decoder decodes it as DECODE_FILE does. The kernel gets what the decoder has checked, and must
- * have the same verdict on each substream and chunk, the same values and the same Gaussians, and encode the chunk as it
- * was. All arrays have exactly their size, so that a sanitizer sees each access outside.
+ * An input is a file. The decoder decodes it as DECODE_FILE does. The kernel gets what the decoder has checked, and
+ * must have the same verdict on each substream and chunk, the same values and the same Gaussians, and encode the chunk
+ * as it was. All arrays have exactly their size, so that a sanitizer sees each access outside.
  *
- * The mutator changes a part of a file, keeps lengths right and repairs the CRC-32s, so that changes reach later checks.
- * C3GS_TABLES names the tables. With REPLAY defined it is a program that runs the files of its arguments, for a compiler
- * without libFuzzer. conformance/fuzz/compiled.py builds it.
+ * The mutator changes a part of a file, keeps lengths right and repairs the CRC-32s, so that changes reach later
+ * checks. C3GS_TABLES names the tables. With REPLAY defined it is a program that runs the files of its arguments, for a
+ * compiler without libFuzzer. conformance/fuzz/compiled.py builds it.
  */
 #define _XOPEN_SOURCE 700
 #include <setjmp.h>
@@ -513,7 +513,7 @@ static uint64_t DIRECTORY_AT(const uint8_t *d, uint64_t size)
     return at + DIRECTORY_ENTRY_LENGTH * (uint64_t)GET_U16(d + AT_SECTION_COUNT) + 4 <= stop ? at : 0;
 }
 
-/* Writes the places of a file, as far as it is whole, and repairs its CRC-32s if `repair`. The result is their number. */
+/* Writes the places of a file, as far as it is whole, and repairs its CRC-32s if `repair`. Returns their number. */
 static int PLACES_OF(uint8_t *d, uint64_t size, struct place *to, int repair)
 {
     uint64_t directory = DIRECTORY_AT(d, size), at, index = 0, index_length = 0;

@@ -10,7 +10,7 @@ import subprocess
 import sys
 import tempfile
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -239,7 +239,7 @@ def run(
         i for i in implementations
         if i.decoder and _is_ready(f"the decoder {i.key}", i.decoder.get("build"), i.decoder["run"], note)
     ]  # fmt: skip
-    state = _State(folder, {d.key: f"{d.version}: {d.decoder['run']}" for d in decoders})
+    state = _State(folder, _identities(decoders))
     rows = list(_rows(encoders, scenes))
     with (
         tqdm(total=len(rows) * (1 + len(decoders)), file=sys.stderr, disable=not sys.stderr.isatty()) as bar,
@@ -276,13 +276,14 @@ def _first(encoder: dict[str, str]) -> str:
     return next(command for form, command in encoder.items() if form != "build")
 
 
+def _identities(decoders: Iterable[Implementation]) -> dict[str, str]:
+    """Returns the version and the command of each decoder in one text: another text is another program."""
+    return {d.key: f"{d.version}: {d.decoder['run']}" for d in decoders}
+
+
 def _with_absent(matrix: Matrix, before: Matrix, implementations: list[Implementation]) -> Matrix:
     """Adds the answers of before of the programs that are not on this machine."""
-    versions = {
-        i.key: f"{i.version}: {i.decoder['run']}"
-        for i in implementations
-        if i.decoder and i.key not in matrix["decoders"]
-    }
+    versions = _identities(i for i in implementations if i.decoder and i.key not in matrix["decoders"])
     absent = {name: what for name, what in before["decoders"].items() if versions.get(name) == what}
     by_file = {row["sha256"]: row for row in before["files"]}
     for row in matrix["files"]:

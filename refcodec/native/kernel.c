@@ -741,7 +741,7 @@ typedef struct {
     uint32_t saved;
 } registers;
 
-/* The compiler's own test, __builtin_cpu_supports, needs a run-time library, which may be missing and report nothing. */
+/* The compiler's own test, __builtin_cpu_supports, needs a run-time library, which may be missing and find nothing. */
 static registers read_registers(void)
 {
     registers r = {0, 0, 0, 0, 0};

@@ -7,19 +7,23 @@ from typing import Any
 from benchmarks.survey import HEAD, rows
 
 
-def result(psnr: float, size: int) -> dict[str, Any]:
-    return {"mean": {"psnr_3dgs": psnr, "ssim_3dgs": 0.9}, "bytes": size, "anchors": 10}
+def result(rate: float, psnr: float, size: int) -> dict[str, Any]:
+    settings = {"rate": {"weight": rate}}
+    mean = {"psnr_3dgs": psnr, "ssim_3dgs": 0.9}
+    return {"definition": {"settings": settings}, "mean": mean, "bytes": size, "anchors": 10}
 
 
 def test_a_row_has_all_scenes() -> None:
     found = [
-        ("one", "pro", 0.004, result(30, 100)),
-        ("one", "pro", 0.004, result(32, 300)),
-        ("two", "pro", 0.004, result(21, 1000)),
-        ("one", "pro", 0.015, result(20, 10)),
-        ("one", "static", 0.004, result(33, 200)),
-        ("two", "static", 0.004, result(23, 400)),
-        ("three", "static", 0.004, result(0, 0)),
+        ("one", "pro", result(0.004, 30, 100)),
+        ("one", "pro", result(0.004, 32, 300)),
+        ("two", "pro", result(0.004, 21, 1000)),
+        ("one", "pro", result(0.015, 20, 10)),
+        ("one", "static", result(0.004, 33, 200)),
+        ("two", "static", result(0.004, 23, 400)),
+        ("one", "uncompressed", result(0, 40, 9000)),
+        ("two", "uncompressed", result(0, 40, 9000)),
+        ("three", "static", result(0.004, 0, 0)),
     ]
     made = rows(found, ["one", "two"])
     assert all(len(row) == len(HEAD) for row in made)
