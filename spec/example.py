@@ -20,6 +20,7 @@ from refcodec.bitstream import codec
 from refcodec.bitstream.attributes import Attributes
 from refcodec.bitstream.cameras import CAMERAS, NamedCamera, emit_cameras
 from refcodec.bitstream.dimensions import Dimensions
+from refcodec.bitstream.errors import BitstreamError
 from refcodec.bitstream.frame import Frame
 from refcodec.bitstream.header import Lanes, PositionGrid, RenderInfo
 from refcodec.bitstream.limits import TINY
@@ -227,4 +228,8 @@ def made() -> Iterator[Made]:
 if __name__ == "__main__":
     if len(sys.argv) != 2:
         sys.exit(__doc__)
-    print(as_text(document(Path(sys.argv[1]).read_bytes())), end="")
+    try:
+        text = as_text(document(Path(sys.argv[1]).read_bytes()))
+    except (BitstreamError, OSError) as error:
+        sys.exit(f"{sys.argv[1]}: {error}")
+    print(text, end="")

@@ -113,10 +113,10 @@ def _add_fuzz(commands: Any) -> None:
 
 
 def _hours(text: str) -> float:
-    """Returns a number of hours. Raises ValueError."""
+    """Returns an argument that is a number of hours. Raises ArgumentTypeError."""
     hours = float(text)
     if not 0 < hours < 10000:
-        raise ValueError(text)
+        raise argparse.ArgumentTypeError("must be above 0 and below 10000")
     return hours
 
 

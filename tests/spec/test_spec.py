@@ -12,6 +12,8 @@ import pkgutil
 import random
 import re
 import struct
+import subprocess
+import sys
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
@@ -1079,3 +1081,15 @@ def test_a_wrong_citation_is_reported(path: str, right: str, wrong: str, fault: 
     assert right in source
     assert not list(citations.faults(path, source))
     assert fault in "\n".join(citations.faults(path, source.replace(right, wrong)))
+
+
+def test_a_file_that_has_no_text(tmp_path: Path) -> None:
+    """`python -m spec.example` names the error of a file, and of a place without one."""
+    cut = tmp_path / "cut.c3gs"
+    cut.write_bytes((ROOT / "vectors" / "tiny-example.c3gs").read_bytes()[:300])
+    for place, reason in ((cut, "R6.6-6"), (tmp_path / "none", "No such file")):
+        command = [sys.executable, "-m", "spec.example", str(place)]
+        ended = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+        assert ended.returncode == 1
+        assert ended.stderr.count("\n") == 1
+        assert reason in ended.stderr
