@@ -38,9 +38,9 @@ from refcodec.export.formats import splat_file
 from refcodec.export.splats import Splats
 from refcodec.files.outputs import check_apart
 from refcodec.files.text import printable
-from refcodec.render.camera import Camera, axis_direction
-from refcodec.render.rasterise import Settings
-from refcodec.render.view import View, eight_bits
+from refcodec.rendering.camera import Camera, axis_direction
+from refcodec.rendering.rasterise import Settings
+from refcodec.rendering.view import View, eight_bits
 from refcodec.statuses import DONE, USAGE, UsageError
 
 from .exports.making import Record, kept
@@ -146,7 +146,7 @@ def coded_record(source: Source, rate: float, steps: int, folder: Path) -> Recor
         scene, file = folder / name, folder / f"{name}.c3gs"
         resume = ["--resume"] if scene.with_name(f"{name}.train-state").exists() else []
         words = ["--views", str(source.views), f"--up={source.up}", "--size", str(source.size)]
-        words += ["--steps", str(steps), "--rate", f"{rate:g}"]
+        words += ["--steps", str(steps), "--lambda", f"{rate:g}"]
         if not scene.exists() or resume:
             refcodec("convert", str(source.file), "-o", str(scene), *words, *resume)
         refcodec("encode", str(scene), "-o", str(file))

@@ -37,7 +37,7 @@ def rows(found: Iterable[Cell], scenes: Iterable[str]) -> list[tuple[str, ...]]:
     wanted = set(scenes)
     groups: dict[tuple[str, float], dict[str, list[tuple[float, ...]]]] = defaultdict(lambda: defaultdict(list))
     for scene, method, result in found:
-        rate, mean = result["definition"]["settings"]["rate"]["weight"], result["mean"]
+        rate, mean = result["definition"]["settings"]["rate"]["lambda_r"], result["mean"]
         if scene in wanted and rate:
             values = mean["psnr_3dgs"], mean["ssim_3dgs"], result["bytes"], result["anchors"]
             groups[method, -rate][scene].append(values)

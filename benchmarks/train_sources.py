@@ -38,7 +38,9 @@ class Source:
 
 def _settings(rate: float, steps: int, anchors: int, most: int) -> TrainSettings:
     """Returns settings. rate: lambda_r. anchors: initial number. most: largest number."""
-    return varied(TrainSettings(), {"rate.weight": rate, "steps": steps, "start.anchors": anchors, "growth.most": most})
+    return varied(
+        TrainSettings(), {"rate.lambda_r": rate, "steps": steps, "start.anchors": anchors, "growth.most": most}
+    )
 
 
 TRAININGS = {

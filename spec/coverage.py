@@ -42,7 +42,7 @@ KINDS = {
 ANY_FILE = "any file"
 # The record of the lines, and how many vectors it names for each.
 RECORD, SHOWN = ROOT / "docs" / "coverage.json", 10
-# Functions of images, which no vector has: tests/render compares the renderer with them.
+# Functions of images, which no vector has: tests/rendering compares the renderer with them.
 IMAGES = {"ROTATION", "PRODUCT", "PROJECT", "PIXEL"}
 # Functions that compare real numbers, which have no next number.
 REAL = IMAGES | {"GAUSSIANS", "NORMALISED", "LOGISTIC"}
@@ -114,7 +114,7 @@ class Site:
     def argued(self) -> str | None:
         """Returns why no vector need reach it, or None."""
         if self.function in IMAGES:
-            return "images: tests/render"
+            return "images: tests/rendering"
         return ARGUED.get((self.function, self.text, self.kind))
 
 

@@ -25,7 +25,7 @@ PARTS = {
         "refcodec.inspect",
     ),
     "scenes": (
-        "refcodec.render",
+        "refcodec.rendering",
         "refcodec.export",
         "refcodec.photographs",
         "refcodec.viewer",

@@ -26,7 +26,7 @@ from .made import ROOT
 
 # The decoders and their source files.
 DECODERS = {
-    "refcodec": ("refcodec/bitstream/*.py", "refcodec/render/*.py", "refcodec/folder/*.py"),
+    "refcodec": ("refcodec/bitstream/*.py", "refcodec/rendering/*.py", "refcodec/folder/*.py"),
     "second decoder": ("conformance/spec_decoder/*.py",),
     "decoder in C": ("conformance/c/decoder.c",),
 }

@@ -47,7 +47,7 @@ def identity(user: int) -> dict[str, Any]:
 def compiled_root() -> Path | None:
     """The folder of compiled functions that the other tests fill, if numba is installed."""
     try:
-        from refcodec.render import compiled  # noqa: PLC0415
+        from refcodec.rendering import compiled  # noqa: PLC0415
     except ImportError:
         return None
     return compiled.root()

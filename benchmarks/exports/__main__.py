@@ -22,7 +22,7 @@ from refcodec.export.fit import render_settings
 from refcodec.export.formats import FORMATS
 from refcodec.export.splats import draw
 from refcodec.files.text import printable
-from refcodec.render.view import eight_bits
+from refcodec.rendering.view import eight_bits
 from refcodec.statuses import DONE, USAGE
 
 from ..peers.convert import VERSION, ToolError

@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from refcodec.render.camera import Camera
-from refcodec.render.rasterise import Settings
+from refcodec.rendering.camera import Camera
+from refcodec.rendering.rasterise import Settings
 
 from ..chromium import find
 from ..peers.convert import ToolError

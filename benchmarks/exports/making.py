@@ -27,8 +27,8 @@ from refcodec.export.spz import BITS, BITS_MOST
 from refcodec.export.views import sized
 from refcodec.files.documents import read_json
 from refcodec.photographs.photographs import PhotographSet, read_photographs
-from refcodec.render.camera import Camera
-from refcodec.render.view import View
+from refcodec.rendering.camera import Camera
+from refcodec.rendering.view import View
 
 # As in refcodec export.
 ITERATIONS = 10

@@ -36,12 +36,12 @@ def experiment_records(folder: Path) -> Iterator[Record]:
     """
     for scene, method, result in results(folder):
         settings = result["definition"]["settings"]
-        kind = CODED if settings["rate"]["weight"] else PLAIN
+        kind = CODED if settings["rate"]["lambda_r"] else PLAIN
         mean = result["mean"]
         yield {
             "scene": scene,
             "method": method,
-            "strength": settings["rate"]["weight"],
+            "strength": settings["rate"]["lambda_r"],
             "seed": settings["seed"],
             "size": int(settings["size"]),
             "steps": settings["steps"],

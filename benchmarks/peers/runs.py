@@ -207,7 +207,7 @@ def _shown(coded: Path, ply: Path, photographs: PhotographSet, settings: SplatSe
 
 def anchor_settings(run: Run) -> TrainSettings:
     """Returns the settings of a run with anchors. Raises SettingsError."""
-    own = {"steps": run.steps, "seed": run.seed, "size": str(run.size), "rate.weight": run.strength}
+    own = {"steps": run.steps, "seed": run.seed, "size": str(run.size), "rate.lambda_r": run.strength}
     # Evaluations during the training would count as its time.
     return assigned(varied(TrainSettings(), {**own, "looks.count": 1}), run.changes)
 

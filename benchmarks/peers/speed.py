@@ -38,7 +38,7 @@ from refcodec.export.ply import ply_bytes
 from refcodec.export.splats import Splats, draw
 from refcodec.export.spz import spz_file
 from refcodec.export.views import views_of
-from refcodec.render.view import View, stated_cameras
+from refcodec.rendering.view import View, stated_cameras
 
 from ..contenders import NATIVE, ONE_THREAD
 from ..large import KEPT, PAPER_ANCHORS, TRAINED, large

@@ -13,7 +13,7 @@ from refcodec.evaluate.quality import measures
 from refcodec.export.ply import ply_bytes
 from refcodec.export.splats import Splats as Exported
 from refcodec.photographs.photographs import Photograph
-from refcodec.render.rasterise import Settings
+from refcodec.rendering.rasterise import Settings
 
 
 def write_ply(splats: Splats, path: Path) -> None:

@@ -16,8 +16,8 @@ from torch import Tensor
 from refcodec.convert.splats import drawn
 from refcodec.files.interrupts import on_interrupt
 from refcodec.photographs.photographs import PhotographSet
-from refcodec.render.harmonics import REST, ZERO
-from refcodec.render.rasterise import Settings
+from refcodec.rendering.harmonics import REST, ZERO
+from refcodec.rendering.rasterise import Settings
 from refcodec.train.adam import ADAM_EPSILON
 from refcodec.train.losses import photometric
 from refcodec.train.optimisers import learning_rate, moments, restore_moments

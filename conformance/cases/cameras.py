@@ -15,8 +15,8 @@ from refcodec.bitstream.dimensions import STATIC
 from refcodec.bitstream.header import PositionGrid
 from refcodec.bitstream.reconstruction import gaussians as splat_of
 from refcodec.bitstream.reconstruction import reconstruct
-from refcodec.render.camera import read_camera
-from refcodec.render.gaussians import RENDERING
+from refcodec.rendering.camera import read_camera
+from refcodec.rendering.gaussians import RENDERING
 
 from .. import spec_decoder
 from . import static

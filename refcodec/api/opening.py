@@ -29,8 +29,8 @@ from ..export.splats import Splats
 from ..files.remote import MEMORY_MAX, RemoteFile, is_url
 from ..inspect.elements import outline_of
 from ..inspect.parts import SPAN_BYTES, part_bytes
-from ..render.camera import Camera
-from ..render.gaussians import check_static
+from ..rendering.camera import Camera
+from ..rendering.gaussians import check_static
 from . import page
 from .scenes import Scene, named_cameras
 

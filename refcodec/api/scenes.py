@@ -28,12 +28,12 @@ from ..export import DEGREE, ITERATIONS
 from ..export.splats import Splats, static_splats
 from ..inspect.elements import outline_of
 from ..inspect.parts import part_bytes
-from ..render.camera import Camera, check_camera, default_camera, scene_up
-from ..render.gaussians import Gaussians, check_render_model, gaussians_of
+from ..rendering.camera import Camera, check_camera, default_camera, scene_up
+from ..rendering.gaussians import Gaussians, check_render_model, gaussians_of
 from . import page
 
 if TYPE_CHECKING:
-    from ..render.view import View
+    from ..rendering.view import View
 
 F32 = NDArray[np.float32]
 
@@ -232,7 +232,7 @@ class Scene:
         view = self._view
         from ..export.fit import fit
         from ..export.views import sized, views_of
-        from ..render.view import stated_cameras
+        from ..rendering.view import stated_cameras
 
         fitting = views_of(view, stated_cameras(self.coded)).fit if cameras is None else [*map(sized, cameras)]
         found: Splats = _read_only(fit(view, fitting, degree, iterations, no_progress).splats)
@@ -274,12 +274,12 @@ class Scene:
             camera: None for the default view. `camera.resized(width, height)` returns one with another image size.
 
         Raises:
-            ValueError: the image has more than 100,000,000 pixels (refcodec.render.camera.PIXELS_MAX), or the camera
+            ValueError: the image has more than 100,000,000 pixels (refcodec.rendering.camera.PIXELS_MAX), or the camera
                 is invalid.
             ModuleNotFoundError: a package of the extra is missing.
         """
         view = self._view
-        from ..render.view import eight_bits, own_camera
+        from ..rendering.view import eight_bits, own_camera
 
         return eight_bits(view.draw(camera or own_camera(view.camera)))
 
@@ -290,7 +290,7 @@ class Scene:
     @cached_property
     def _view(self) -> View:
         try:
-            from ..render.view import View
+            from ..rendering.view import View
         except ModuleNotFoundError as error:
             raise _with_extra(error) from None
         return View(self.coded)
@@ -314,7 +314,7 @@ class Scene:
         if self.anchor_count <= DRAWN_ANCHORS:
             # The extra `render` is missing, or the scene cannot be drawn.
             with contextlib.suppress(ModuleNotFoundError, ValueError):
-                from ..render.view import png
+                from ..rendering.view import png
 
                 camera = next(iter(self.cameras or self.orbit(1)))
                 return png(self.render(_small(camera)))

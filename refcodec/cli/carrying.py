@@ -59,8 +59,8 @@ def _put(arguments: argparse.Namespace, output: Path) -> int:
     from ..bitstream.codec import parse_container
     from ..export.glb import check_colours, glb_bytes
     from ..export.splats import static_splats
-    from ..render.camera import scene_up
-    from ..render.gaussians import check_static
+    from ..rendering.camera import scene_up
+    from ..rendering.gaussians import check_static
 
     data = read_bounded(arguments)
     check_static(parse_container(data).render)

@@ -61,9 +61,9 @@ def _encode(arguments: argparse.Namespace) -> int:
         from .converting import fitted
 
         scene, status = fitted(arguments)
-    elif arguments.rate or arguments.steps:
+    elif arguments.lambda_r or arguments.steps:
         raise UsageError(
-            f"{arguments.scene} is coded already: omit --rate and --steps, which are for uncompressed scenes"
+            f"{arguments.scene} is coded already: omit --lambda and --steps, which are for uncompressed scenes"
         )
     else:
         check_scene_folder(Path(arguments.scene))
@@ -199,12 +199,12 @@ def add(commands: Any) -> None:
             "encode scene -o scene.c3gs --meta title=Kitchen --meta licence=CC-BY-4.0",
             "encode scene -o scene.c3gs --meta about.toml",
             "encode scene -o scene.c3gs --smallest",
-            "encode converted -o scene.c3gs --rate 0.01",
+            "encode converted -o scene.c3gs --lambda 0.01",
         ],
         "A folder written by decode gives the same bytes again. For a Main file, add --positions raw if its positions\n"
         "are raw, and --weights raw if its weights are raw. If coded.safetensors is deleted,\n"
-        "point_cloud.ply is quantised again. An uncompressed scene, of convert or of train --rate 0, is quantised and\n"
-        "gets an entropy model, as by fit. This takes minutes, and needs: pip install 'refcodec[fit]'.",
+        "point_cloud.ply is quantised again. An uncompressed scene, of convert or of train --lambda 0, is quantised\n"
+        "and gets an entropy model, as by fit. This takes minutes, and needs: pip install 'refcodec[fit]'.",
         writes=True,
     )
     encode.add_argument("scene", metavar="SCENE_DIR", help="the scene folder")
@@ -229,7 +229,8 @@ def add(commands: Any) -> None:
         "position, mask or attribute changes; for scenes of few anchors, such as those of fit",
     )
     encode.add_argument(
-        "--rate",
+        "--lambda",
+        dest="lambda_r",
         type=fit_rate,
         metavar="L",
         help="lambda_r for an uncompressed scene: the steps grow with its square root (default: 0.004)",

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
     from ..bitstream.scene import Scene
     from ..convert.splats import Splats
-    from ..render.camera import Camera
+    from ..rendering.camera import Camera
     from ..train.settings import TrainSettings
 
 # The packages of convert beyond those of the decoder.
@@ -47,7 +47,7 @@ _PACKAGES = ("torch", "numba", "scipy", "PIL", "skimage")
 _SPLATS, _SOG = (".ply", ".spz", ".sog", ".glb"), "meta.json"
 _VIEWS = 200
 # Options of a training that --fast does not have.
-_TRAINED = ("pictures", "rate", "seed", "resume", "background", "holdout", "anchors", "voxel", "set")
+_TRAINED = ("pictures", "lambda_r", "seed", "resume", "background", "holdout", "anchors", "voxel", "set")
 
 
 def _convert(arguments: argparse.Namespace) -> int:
@@ -60,14 +60,14 @@ def _convert(arguments: argparse.Namespace) -> int:
     if splats and arguments.appearance is not None:
         raise UsageError(f"--appearance applies only to model folders: omit it for {source}")
     drawn = {
-        name: getattr(arguments, name) for name in ("views", "cameras", "pictures", "steps", "rate", "size", "psnr")
+        name: getattr(arguments, name) for name in ("views", "cameras", "pictures", "steps", "lambda_r", "size", "psnr")
     }
     drawn["fast"] = arguments.fast or None
     given = next((name for name, value in drawn.items() if value is not None), None)
     if not splats and given:
-        raise UsageError(f"--{given} applies only to splat files: omit it for {source}")
+        raise UsageError(f"--{given.removesuffix('_r')} applies only to splat files: omit it for {source}")
     if arguments.psnr is not None and not arguments.fast:
-        raise UsageError("--psnr applies only to --fast: add it, or choose the quality of a training with --rate")
+        raise UsageError("--psnr applies only to --fast: add it, or choose the quality of a training with --lambda")
     try:
         if splats:
             return _convert_fast(arguments, splats) if arguments.fast else _train_from_splats(arguments, splats)
@@ -105,7 +105,7 @@ def _convert_model(arguments: argparse.Namespace) -> int:
         )
     count, offsets = scene.masks.shape
     say(f"{output}: {count} anchors, {scene.values.features.shape[1]} features, {offsets} offsets")
-    say(f"next: refcodec encode {shell_word(str(output))} -o {shell_word(f'{output}.c3gs')} --rate 0.004")
+    say(f"next: refcodec encode {shell_word(str(output))} -o {shell_word(f'{output}.c3gs')} --lambda 0.004")
     return statuses.DONE
 
 
@@ -119,7 +119,7 @@ def fitted(arguments: argparse.Namespace) -> tuple[Scene, int]:
     except ModuleNotFoundError as error:
         raise needs("encode of an uncompressed scene", "fit", error, ("torch", "scipy")) from None
     plain = FitSettings()
-    settings = FitSettings(steps=arguments.steps or plain.steps, rate=arguments.rate or plain.rate)
+    settings = FitSettings(steps=arguments.steps or plain.steps, lambda_r=arguments.lambda_r or plain.lambda_r)
     try:
         given = read_given(arguments.scene)
         with progress_bar(arguments.progress) as progress:
@@ -147,11 +147,11 @@ def _convert_fast(arguments: argparse.Namespace, source: Path) -> int:
     from ..convert.splats import tensors
     from ..files.outputs import Kind, check_apart, check_file
     from ..files.stage import write_file
-    from ..render.camera import STATED, nearest_axis
+    from ..rendering.camera import STATED, nearest_axis
 
     for name in _TRAINED:
         if getattr(arguments, name):
-            raise UsageError(f"--{name} applies only to a training: omit it, or omit --fast")
+            raise UsageError(f"--{name.removesuffix('_r')} applies only to a training: omit it, or omit --fast")
     output = Path(arguments.output)
     check_file(output, Kind.signed("a C3GS file", SIGNATURE))
     check_apart([output], [source])
@@ -260,7 +260,7 @@ def _train_settings(arguments: argparse.Namespace) -> TrainSettings:
     if arguments.background is None:
         arguments.background = "black"
     own = {
-        "rate.weight": arguments.rate,
+        "rate.lambda_r": arguments.lambda_r,
         "steps": arguments.steps,
         "size": arguments.size,
         "seed": arguments.seed,
@@ -340,7 +340,7 @@ def add(commands: Any) -> None:
             "convert scene.ply -o scene --views 200",
             "convert scene.ply -o scene.c3gs --fast",
             "convert scene.ply -o scene.c3gs --fast --psnr 40",
-            "convert scene.spz -o scene --up=+y --size 800 --rate 0.002 --steps 8000",
+            "convert scene.spz -o scene --up=+y --size 800 --lambda 0.002 --steps 8000",
         ],
         "SOURCE is a model folder of Scaffold-GS, HAC, HAC++ or CAT-3DGS, or one of its folders iteration_N.\n"
         "The scene looks like the model. It is not compressed yet: encode compresses it.\n"
@@ -383,7 +383,9 @@ def add(commands: Any) -> None:
     convert.add_argument(
         "--preset", choices=("fast", "paper"), default="fast", help="splats: training preset (default: %(default)s)"
     )
-    convert.add_argument("--rate", type=weight, metavar="L", help="splats: lambda_r of the training (default: 0.004)")
+    convert.add_argument(
+        "--lambda", dest="lambda_r", type=weight, metavar="L", help="splats: lambda_r of the training (default: 0.004)"
+    )
     convert.add_argument("--steps", type=positive, metavar="N", help="splats: training steps (default: the preset's)")
     convert.add_argument("--size", metavar="WxH", help="splats: longest side of the pictures (default: the preset's)")
     convert.add_argument("--seed", type=seed, metavar="S", help="splats: random seed (default: 0)")

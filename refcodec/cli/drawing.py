@@ -35,7 +35,7 @@ from .shared import (
 from .shown import camera_of, photographs_as_trained, read_shown, render_info
 
 if TYPE_CHECKING:
-    from ..render.camera import Camera
+    from ..rendering.camera import Camera
 
 
 # Help for the commands that write images.
@@ -54,8 +54,8 @@ def _tell(lines: Iterable[str]) -> None:
 def _gaussians(arguments: argparse.Namespace) -> int:
     import json
 
-    from ..render.camera import CAMERA_MAX, read_camera
-    from ..render.gaussians import gaussians_document, gaussians_of
+    from ..rendering.camera import CAMERA_MAX, read_camera
+    from ..rendering.gaussians import gaussians_document, gaussians_of
 
     output = Path(arguments.output)
     check_file(output, Kind.signed("a list of Gaussians", b'{"gaussians":'))
@@ -73,9 +73,9 @@ def _gaussians(arguments: argparse.Namespace) -> int:
 
 def _render(arguments: argparse.Namespace) -> int:
     try:
-        from ..render.camera import OWN
-        from ..render.images import ORBIT, ImageFolder
-        from ..render.view import View, eight_bits, orbit_name, own_camera
+        from ..rendering.camera import OWN
+        from ..rendering.images import ORBIT, ImageFolder
+        from ..rendering.view import View, eight_bits, orbit_name, own_camera
     except ModuleNotFoundError as error:
         raise needs("render", "render", error, RENDER_PACKAGES) from None
     note_compiling()
@@ -136,7 +136,7 @@ def _eval(arguments: argparse.Namespace) -> int:
     try:
         from ..evaluate.evaluation import compared_of, evaluate, table
         from ..photographs.cameras import PhotographError
-        from ..render.images import ImageFolder
+        from ..rendering.images import ImageFolder
     except ModuleNotFoundError as error:
         raise needs("eval", "render", error, RENDER_PACKAGES) from None
     note_compiling()

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from ..export.splats import Packed, Splats
     from ..export.views import Views
     from ..folder.uncompressed import Uncompressed
-    from ..render.view import View
+    from ..rendering.view import View
 
 NOTES = """\
 FILE is a file or a scene folder. The suffix of OUTPUT selects the format:
@@ -109,7 +109,7 @@ def _scaffold(arguments: argparse.Namespace, folder: Path) -> int:
         raise needs("export --scaffold", "fit", error, ("torch",)) from None
     from ..bitstream.reconstruction import reconstruct
     from ..bitstream.scene import Scene
-    from ..render.view import stated_cameras
+    from ..rendering.view import stated_cameras
 
     check_folder(folder)
     check_apart([folder / file for file in FILES], [arguments.file])
@@ -128,7 +128,7 @@ def _scaffold(arguments: argparse.Namespace, folder: Path) -> int:
 def decode_splats(arguments: argparse.Namespace) -> int:
     """Writes the splat files of decode: the Gaussians of a static scene."""
     from ..bitstream.codec import parse_container
-    from ..render.gaussians import check_static
+    from ..rendering.gaussians import check_static
 
     outputs = _splat_outputs(arguments.splat, arguments.file)
     data = read_bounded(arguments)
@@ -159,7 +159,7 @@ def _write_static(
     from ..bitstream.cameras import cameras
     from ..bitstream.scene import Scene
     from ..export.splats import static_splats
-    from ..render.camera import scene_up
+    from ..rendering.camera import scene_up
 
     if not isinstance(scene, Scene):
         raise UsageError(f"{arguments.file} is the folder of an uncompressed static scene: encode it first")
@@ -229,7 +229,7 @@ def _export(arguments: argparse.Namespace) -> int:
     if arguments.photographs is not None:
         raise UsageError(f"--photographs applies only to {PAGE_SUFFIX} outputs: use --cameras for splats")
     from ..bitstream.dimensions import STATIC
-    from ..render.gaussians import check_render_model
+    from ..rendering.gaussians import check_render_model
 
     outputs = _splat_outputs(arguments.output, arguments.file, PAGE_SUFFIX)
     if arguments.spz_bits is not None and not any(_is_spz(output) for output in outputs):
@@ -250,7 +250,7 @@ def _export_fitted(arguments: argparse.Namespace, outputs: list[Path], shown: by
     """Writes Gaussians that are fitted to the views of a scene. shown: as read_shown returns it."""
     try:
         from ..export.fit import agreement, fit
-        from ..render.view import View, stated_cameras
+        from ..rendering.view import View, stated_cameras
     except ModuleNotFoundError as error:
         raise needs("export", "render", error, RENDER_PACKAGES) from None
     degree = DEGREE if arguments.degree is None else arguments.degree

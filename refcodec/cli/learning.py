@@ -75,7 +75,7 @@ def _settings(arguments: argparse.Namespace) -> TrainSettings:
     except SettingsError as error:
         raise UsageError(str(error)) from None
     own = {
-        "rate.weight": arguments.rate,
+        "rate.lambda_r": arguments.lambda_r,
         "steps": arguments.steps,
         "size": arguments.size,
         "seed": arguments.seed,
@@ -152,7 +152,7 @@ def _train(arguments: argparse.Namespace) -> int:
     except ModuleNotFoundError as error:
         raise needs("train", "train", error, ("torch", "numba", "scipy", "PIL", "skimage")) from None
     entries = metadata_of(arguments)
-    if entries and not settings.rate.weight:
+    if entries and not settings.rate.lambda_r:
         raise UsageError("an uncompressed scene, as trained with rate 0, has no metadata: omit --meta")
     output = _folder(arguments.output)
     state = state_path(output)
@@ -207,7 +207,9 @@ def _fit_settings(arguments: argparse.Namespace) -> FitSettings:
     from ..train.settings_file import SettingsError, assigned
 
     try:
-        return assigned(FitSettings(steps=arguments.steps, seed=arguments.seed, rate=arguments.rate), arguments.set)
+        return assigned(
+            FitSettings(steps=arguments.steps, seed=arguments.seed, lambda_r=arguments.lambda_r), arguments.set
+        )
     except SettingsError as error:
         raise UsageError(str(error)) from None
 
@@ -267,14 +269,14 @@ def add(commands: Any) -> None:
         "learn a scene from photographs, and write a scene folder",
         [
             "train photographs -o scene",
-            "train photographs -o scene --rate 0.01 --steps 8000",
+            "train photographs -o scene --lambda 0.01 --steps 8000",
             "train photographs -o scene --resume",
-            "train photographs -o better --from converted --rate 0.002",
+            "train photographs -o better --from converted --lambda 0.002",
             "train photographs -o scene --anchors 20000 --background white --holdout 0",
             "train photographs -o scene --resume --steps 12000",
             "train photographs -o scene --log scene.csv",
             "train photographs -o scene --static",
-            "train photographs -o scaffold --rate 0",
+            "train photographs -o scaffold --lambda 0",
             "train photographs -o scene --set masks.epsilon=0.0004 --set growth.most=60000",
             "train --preset paper --print-settings > settings.toml",
             "train photographs -o scene --settings settings.toml",
@@ -315,7 +317,8 @@ def add(commands: Any) -> None:
         help="continue from a scene, such as one of convert, with its anchors, networks and features; none grow",
     )
     train.add_argument(
-        "--rate",
+        "--lambda",
+        dest="lambda_r",
         type=weight,
         metavar="L",
         help="lambda_r, the weight of the rate: usually 0.002 to 0.04, or 0 for an uncompressed Scaffold-GS (default: "
@@ -377,7 +380,8 @@ def add(commands: Any) -> None:
     fit.add_argument("-o", "--output", metavar="SCENE_DIR", required=True, help="the scene folder to write")
     fit.add_argument("--steps", type=positive, metavar="N", default=4000, help="training steps (default: %(default)s)")
     fit.add_argument(
-        "--rate",
+        "--lambda",
+        dest="lambda_r",
         type=fit_rate,
         metavar="L",
         default=0.004,

@@ -330,7 +330,7 @@ def needs(command: str, extra: str, error: ModuleNotFoundError, packages: tuple[
 
 def note_compiling() -> None:
     """Reports on stderr if the rasteriser is compiled at each start. Needs the extra `render`."""
-    from ..render.compiled import is_kept
+    from ..rendering.compiled import is_kept
 
     if not is_kept():
         note(

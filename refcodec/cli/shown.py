@@ -52,7 +52,7 @@ def camera_of(shown: bytes | Scene | Uncompressed) -> NamedCamera:
     """Returns the default view of the result of read_shown: at the world origin for a file without cameras."""
     from ..bitstream.cameras import NamedCamera, cameras
     from ..bitstream.codec import parse_ancillary
-    from ..render.view import default_view
+    from ..rendering.view import default_view
 
     if isinstance(shown, bytes):
         return next(iter(cameras(parse_ancillary(shown))), NamedCamera())

@@ -14,7 +14,7 @@ from .shared import UsageError, length, positive, whole
 if TYPE_CHECKING:
     from ..train.settings import TrainSettings
 
-_RATE = "rate.weight"
+_RATE = "rate.lambda_r"
 # The index of an axis is its number in SPEC 6.5.
 AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
 

@@ -25,7 +25,7 @@ from ..files.ply import PlyError, check_ply_header, property_names
 from ..folder.layout import PLY_FILE, RENDER_FILE, SceneFolderError, there
 from ..folder.ply import read_cloud
 from ..folder.uncompressed import Uncompressed, read_render_document
-from ..render.camera import STATED, spread_cameras, up_axis
+from ..rendering.camera import STATED, spread_cameras, up_axis
 from .carried import with_distance_unit, without_carried
 from .notes import CAMERAS_FILE, SETTINGS_FILE, ModelSettings, read_cameras, read_settings
 from .tensors import read_state_dicts, read_torchscript

@@ -24,9 +24,9 @@ from ..bitstream.splat import OUTPUT_BITS
 from ..encoder.cloud import AnchorCloud
 from ..encoder.positions import choose_grid
 from ..encoder.quantise import packed
-from ..render.camera import Camera, spread_cameras
-from ..render.constants import ALPHA_MIN
-from ..render.rasterise import Settings
+from ..rendering.camera import Camera, spread_cameras
+from ..rendering.constants import ALPHA_MIN
+from ..rendering.rasterise import Settings
 from ..train.fit import fit
 from ..train.fit_input import Given
 from ..train.settings import EntropySettings, FitSettings
@@ -70,7 +70,7 @@ JUDGES, TRIES, TOLERANCE, SLOPE = 8, 6, 0.05, 9.0
 INLIERS, VOXEL_BITS, CROWDED = 0.95, 4, 0.1
 AROUND, DISTANCES = [np.array(step) for step in sorted(np.ndindex(2, 2, 2), key=sum)[1:]], (1, -1, 2, -2, 3, -3)
 # The entropy model: steps of training, and what differs from a fit of longer training.
-STEPS, BATCH, NETWORK_RATE = 600, 2048, 0.02
+STEPS, BATCH, LEARNING_RATE = 600, 2048, 0.02
 # Cameras around the Gaussians that measure, and the sides of their images in pixels.
 VIEWS, SIDE = 32, 400
 # The default quality in dB.
@@ -366,7 +366,10 @@ def converted(
             base_step=(1.0, 1.0, 1.0),
         ),
         FitSettings(
-            steps=steps, batch=BATCH, network_rate=NETWORK_RATE, entropy=EntropySettings(slices=_slices(count))
+            steps=steps,
+            batch=BATCH,
+            network_learning_rate=LEARNING_RATE,
+            entropy=EntropySettings(slices=_slices(count)),
         ),
         progress=show,
     )

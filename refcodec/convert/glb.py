@@ -17,7 +17,7 @@ from ..export.glb import CHUNK, COMPRESSION, EXTENSION, HEAD, SPACE
 from ..files.documents import DocumentError, parse_json
 from ..files.text import printable
 from ..folder.layout import SceneFolderError
-from ..render.harmonics import REST
+from ..rendering.harmonics import REST
 from .splat_arrays import ADVICE, Arrays, check_count
 
 # Maximum bytes of the JSON, and of the numbers.

@@ -1,10 +1,10 @@
-"""Differentiable colours of the harmonics of refcodec.render.harmonics."""
+"""Differentiable colours of the harmonics of refcodec.rendering.harmonics."""
 
 from __future__ import annotations
 
 from torch import Tensor
 
-from ..render.harmonics import ZERO
+from ..rendering.harmonics import ZERO
 from ..train.harmonics import harmonics_torch
 
 

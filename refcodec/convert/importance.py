@@ -9,8 +9,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from ..render.camera import Camera
-from ..render.rasterise import Settings
+from ..rendering.camera import Camera
+from ..rendering.rasterise import Settings
 from .splats import drawn
 
 F32 = NDArray[np.float32]

@@ -21,8 +21,8 @@ from ..bitstream.weights import to_grid
 from ..encoder.cloud import AnchorCloud
 from ..encoder.quantise import order_anchors
 from ..encoder.weights import quantise_rendering
-from ..render.camera import Camera, default_camera
-from ..render.gaussians import gaussians
+from ..rendering.camera import Camera, default_camera
+from ..rendering.gaussians import gaussians
 
 F64 = NDArray[np.float64]
 Networks = Mapping[str, list[Layer]]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ..files.documents import DocumentError, read_json
 from ..files.text import printable
 from ..folder.layout import SceneFolderError, there
-from ..render.camera import ROTATION_TOLERANCE, SIDE_MAX, Camera
+from ..rendering.camera import ROTATION_TOLERANCE, SIDE_MAX, Camera
 
 SETTINGS_FILE, CAMERAS_FILE = "cfg_args", "cameras.json"
 # A line of some kilobytes.

@@ -22,7 +22,7 @@ from ..export.splats import with_largest
 from ..files.documents import DocumentError, parse_json
 from ..files.text import printable
 from ..folder.layout import SceneFolderError, there
-from ..render.harmonics import REST
+from ..rendering.harmonics import REST
 from .archives import opened_zip
 from .splat_arrays import ADVICE, Arrays, check_count, logits
 

@@ -13,7 +13,7 @@ from ..export.splats import with_largest
 from ..files.ply import PlyError, check_ply_header, names_of, read_ply
 from ..files.text import printable
 from ..folder.layout import SceneFolderError
-from ..render.harmonics import REST, ZERO
+from ..rendering.harmonics import REST, ZERO
 from .splat_arrays import ADVICE, Arrays, check_count, logits
 
 # The number of Gaussians in a chunk of a compressed file, which share value ranges.

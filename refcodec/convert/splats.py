@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from ..render.camera import Camera
-from ..render.harmonics import degree_of
-from ..render.rasterise import Settings
+from ..rendering.camera import Camera
+from ..rendering.harmonics import degree_of
+from ..rendering.rasterise import Settings
 from ..train.splat import draw
 from .harmonics import colours
 

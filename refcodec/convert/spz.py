@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ..export.splats import with_largest
 from ..export.spz import COLOUR, HARMONIC_SIGNS, MAGIC, SCALE, SCALE_LEAST
 from ..folder.layout import SceneFolderError
-from ..render.harmonics import REST
+from ..rendering.harmonics import REST
 from .splat_arrays import ADVICE, Arrays, check_count, logits
 
 GZIP = b"\x1f\x8b"

@@ -21,10 +21,10 @@ from PIL import Image
 
 from ..files.ply import ply_bytes
 from ..files.stage import new_file
-from ..render.camera import Camera, looking
-from ..render.harmonics import ZERO
-from ..render.rasterise import Settings
-from ..render.view import eight_bits, spiral
+from ..rendering.camera import Camera, looking
+from ..rendering.harmonics import ZERO
+from ..rendering.rasterise import Settings
+from ..rendering.view import eight_bits, spiral
 from .splats import Splats, drawn
 
 F64 = NDArray[np.float64]

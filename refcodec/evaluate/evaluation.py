@@ -14,7 +14,7 @@ from ..bitstream.codec import parse
 from ..folder.uncompressed import Uncompressed
 from ..inspect.elements import outline_of
 from ..inspect.parts import part_bytes
-from ..render.view import View
+from ..rendering.view import View
 from .quality import measures
 
 if TYPE_CHECKING:

@@ -60,7 +60,7 @@ class Cell:
         words = [
             "--preset",
             self.method.preset,
-            "--rate",
+            "--lambda",
             f"{self.rate:g}",
             "--seed",
             str(self.seed),

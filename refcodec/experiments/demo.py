@@ -20,7 +20,7 @@ from ..files.outputs import check_apart
 from ..files.stage import write_file
 from ..folder.layout import REPORT_FILE, SCENE_FILE
 from ..folder.read import read_folder
-from ..render.images import image_names
+from ..rendering.images import image_names
 from .data_set import DataSet
 from .page import page
 from .runs import Command, Notes, RunError, Runner, has, is_evaluation, is_report, read_result, shown
@@ -70,7 +70,7 @@ class Demo:
 
     def _training(self, name: str, rate: float) -> Command:
         output, source = self.path(name), str(self.photographs.folder)
-        words = ("--rate", f"{rate:g}", "--steps", str(self.steps), *self.photographs.trained, "--threads", "1")
+        words = ("--lambda", f"{rate:g}", "--steps", str(self.steps), *self.photographs.trained, "--threads", "1")
         state = output.with_name(f"{name}.train-state")
         return Command(
             name, ("train", source, "-o", str(output), *words, "--progress"), output / REPORT_FILE, state=state

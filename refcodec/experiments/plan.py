@@ -25,7 +25,7 @@ SEED_MAX = (1 << 63) - 1
 _VARIABLE = re.compile(r"\$\{([^}]*)\}")
 # Settings with their own key, which must be used instead.
 OWN_KEYS = {
-    "rate.weight": "rates",
+    "rate.lambda_r": "rates",
     "steps": "steps",
     "size": "the scene's size",
     "seed": "seeds",
@@ -216,7 +216,7 @@ class Experiment:
     def settings(self, scene: Scene, method: Method, rate: float, seed: int) -> TrainSettings:
         """All settings of one training run, as its command has them. Raises ExperimentError."""
         options = {
-            "rate.weight": rate,
+            "rate.lambda_r": rate,
             "steps": self.steps,
             "size": scene.size,
             "background": scene.background,

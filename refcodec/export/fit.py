@@ -26,11 +26,11 @@ from numpy.typing import NDArray
 from ..bitstream.batches import Progress
 from ..bitstream.cameras import rotation_matrix
 from ..bitstream.reconstruction import Reconstruction
-from ..render.camera import Camera
-from ..render.gaussians import Gaussians, gaussians
-from ..render.harmonics import harmonics
-from ..render.rasterise import Settings, rasterise, rasterise_backward
-from ..render.view import View
+from ..rendering.camera import Camera
+from ..rendering.gaussians import Gaussians, gaussians
+from ..rendering.harmonics import harmonics
+from ..rendering.rasterise import Settings, rasterise, rasterise_backward
+from ..rendering.view import View
 from .splats import OPACITY_LEAST, Splats, draw, logits, opacities
 
 F32 = NDArray[np.float32]

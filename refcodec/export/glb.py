@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from .. import __version__
 from ..bitstream.header import RenderInfo
 from ..files.outputs import Kind
-from ..render.harmonics import ZERO
+from ..rendering.harmonics import ZERO
 from .splats import Splats, nearest_bytes, opacities
 
 F64 = NDArray[np.float64]

@@ -48,8 +48,8 @@ from ..files.stage import exchange, new_file
 from ..folder.layout import RENDER_FILE
 from ..folder.ply import ply_values
 from ..folder.uncompressed import render_document
-from ..render.camera import default_camera
-from ..render.gaussians import check_view_dependent
+from ..rendering.camera import default_camera
+from ..rendering.gaussians import check_view_dependent
 from ..statuses import UsageError
 
 if TYPE_CHECKING:

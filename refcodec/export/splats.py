@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from ..bitstream.reconstruction import Reconstruction, gaussians
 from ..bitstream.scene import Scene
 from ..bitstream.splat import HARMONICS, LENGTHS, LOGIT, MEAN, QUATERNION
-from ..render.camera import Camera
-from ..render.gaussians import check_static
-from ..render.harmonics import degree_of, harmonics
+from ..rendering.camera import Camera
+from ..rendering.gaussians import check_static
+from ..rendering.harmonics import degree_of, harmonics
 
 if TYPE_CHECKING:
-    from ..render.rasterise import Rendering, Settings
+    from ..rendering.rasterise import Rendering, Settings
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -125,7 +125,7 @@ def draw(splats: Splats, camera: Camera, settings: Settings) -> Rendering:
 
     It needs the extra `render`. Raises ValueError as rasterise.
     """
-    from ..render.rasterise import rasterise  # noqa: PLC0415 (numba)
+    from ..rendering.rasterise import rasterise  # noqa: PLC0415 (numba)
 
     values = np.einsum("nk,nkc->nc", harmonics(splats.mean, camera.centre, splats.degree), splats.coefficients)
     lengths = np.exp(splats.scale)

@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..bitstream.cameras import NamedCamera
-from ..render.camera import Camera, poses
-from ..render.view import DISTANCE, View, own_camera, spiral
+from ..rendering.camera import Camera, poses
+from ..rendering.view import DISTANCE, View, own_camera, spiral
 
 # The longest side of a view in pixels. It suffices for blending weights, and the work grows with the pixels.
 SIDE = 400

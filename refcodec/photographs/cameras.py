@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..files.present import NotAFileError, is_there
-from ..render.camera import Camera
+from ..rendering.camera import Camera
 
 F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]

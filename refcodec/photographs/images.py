@@ -12,7 +12,7 @@ import numpy as np
 from PIL import Image
 from scipy import sparse
 
-from ..render.camera import PIXELS_MAX
+from ..rendering.camera import PIXELS_MAX
 from .cameras import SIDE_MAX, U8, PhotographError
 from .png import has_all_rows
 

@@ -14,7 +14,7 @@ BETA_1, BETA_2 = np.float32(0.9), np.float32(0.999)
 
 
 def adam_torch(
-    table: Tensor, first: Tensor, second: Tensor, steps: int, rows: Tensor, gradient: Tensor, rate: float
+    table: Tensor, first: Tensor, second: Tensor, steps: int, rows: Tensor, gradient: Tensor, learning_rate: float
 ) -> None:
     """One step of Adam on table[rows], in place.
 
@@ -27,7 +27,7 @@ def adam_torch(
         steps: steps of the training, from 1, for the bias correction of the moments.
         rows: int64 [n], each at most once.
         gradient: float32 [n, D].
-        rate: learning rate.
+        learning_rate: a factor.
     """
     assert first.shape == second.shape == table.shape
     assert gradient.shape == (len(rows), table.shape[1])
@@ -35,7 +35,7 @@ def adam_torch(
     v = second[rows].mul_(float(BETA_2)).addcmul_(gradient, gradient, value=float(np.float32(1) - BETA_2))
     first[rows], second[rows] = m, v
     away = (m / (1 - 0.9**steps)) / ((v / (1 - 0.999**steps)).sqrt_() + ADAM_EPSILON)
-    table[rows] -= rate * away
+    table[rows] -= learning_rate * away
 
 
 def joined(rows: Sequence[Tensor]) -> tuple[Tensor, Tensor]:

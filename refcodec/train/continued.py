@@ -70,7 +70,7 @@ def beginning(given: Given, photographs: PhotographSet, settings: TrainSettings)
     cloud = given.cloud
     if given.networks is None or not len(cloud.positions):
         raise BeginningError("it has no anchors, or no rendering networks")
-    if not settings.rate.weight and not cloud.masks.all():
+    if not settings.rate.lambda_r and not cloud.masks.all():
         raise BeginningError("it has masks, which a training without a rate does not have")
     points = cloud.positions.astype(np.float64)
     length = scene_length(replace(photographs, points=points))

@@ -29,7 +29,7 @@ from ..encoder.sizes import CHUNK_SIZE, choose_lanes
 from ..encoder.weights import exact_networks, weight_scales
 from ..folder.uncompressed import Uncompressed
 from ..photographs.photographs import PhotographSet
-from ..render.camera import up_axis
+from ..rendering.camera import up_axis
 from .rate_model.model import RateModel
 from .rate_model.units import PLANE_SHIFT
 from .rendering_networks import RenderNetworks

@@ -41,7 +41,7 @@ from .rate_model.hyperprior import VectorMatrix
 from .rate_model.model import SARM_WIDTH, RateModel
 from .rate_model.units import PLANE_SHIFT, STEP_ONE
 from .rendering_networks import RENDER_WIDTH
-from .settings import BASE_RATE, EntropySettings, FitSettings, QuantisationSettings
+from .settings import BASE_LAMBDA, EntropySettings, FitSettings, QuantisationSettings
 from .settings_file import document
 from .state import Keeper, Saved, is_saved, restore
 from .voxelise import display_networks
@@ -90,14 +90,16 @@ def fit(
 # --- the scene before training ----------------------------------------------------------------------------------------
 
 
-def base_steps(cloud: AnchorCloud, steps: QuantisationSettings, rate: float = BASE_RATE) -> tuple[float, float, float]:
+def base_steps(
+    cloud: AnchorCloud, steps: QuantisationSettings, lambda_r: float = BASE_LAMBDA
+) -> tuple[float, float, float]:
     """Base steps of features, scalings and offsets, each a float32 value.
 
-    rate: lambda_r. Of D + lambda_r R, the squared error D of a small step grows with its square, and the rate R falls
+    Of D + lambda_r R, the squared error D of a small step grows with its square, and the rate R falls
     with its logarithm. Thus the best step grows with the root of lambda_r.
     """
     spread = float(np.median(varying(cloud.features.std(axis=0)))) if len(cloud.features) else 0.0
-    coarser = math.sqrt(rate / BASE_RATE)
+    coarser = math.sqrt(lambda_r / BASE_LAMBDA)
     features, scalings, offsets = (
         float(np.float32(coarser * step)) for step in (spread * steps.features or 1.0, steps.scalings, steps.offsets)
     )
@@ -163,7 +165,7 @@ def _start(given: Given, settings: FitSettings) -> Scene:
         colours = len(given.networks[RENDERING[2]][-1][1]) // d.offset_count
         d = replace(d, view_inputs=RENDER_MODELS[STATIC][0], colour_outputs=colours)
     base_step = given.base_step or base_steps(
-        cloud, settings.scene if given.networks else settings.quantisation, settings.rate
+        cloud, settings.scene if given.networks else settings.quantisation, settings.lambda_r
     )
     networks: dict[str, list[Layer]] = {
         name: [(np.zeros(shape, np.float32), np.zeros(shape[0], np.float32)) for shape in shapes]
@@ -238,7 +240,7 @@ class _Fitting:
         )
         groups = [{"params": [self.model.latents]}, {"params": self.model.coding_parameters()}]
         self.optimiser = torch.optim.Adam(groups)
-        rates = [settings.plane_rate, settings.network_rate]
+        rates = [settings.plane_learning_rate, settings.network_learning_rate]
         self.schedule = torch.optim.lr_scheduler.OneCycleLR(self.optimiser, rates, total_steps=max(settings.steps, 1))
         self.draw = torch.Generator().manual_seed(settings.seed)
         self.done, self.plane_bits = 0, 0.0

@@ -17,7 +17,7 @@ from ..files.ply import PlyError, property_names
 from ..folder.layout import NETWORKS_FILE, PLY_FILE, RENDER_FILE, SCENE_FILE, there
 from ..folder.read import read_folder
 from ..folder.uncompressed import is_uncompressed, read_uncompressed
-from ..render.gaussians import check_view_dependent
+from ..rendering.gaussians import check_view_dependent
 from .voxelise import default_voxel, read_points, short_mantissa, voxelise
 
 _ADVICE = "restore the file, or give another scene folder"

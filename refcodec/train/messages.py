@@ -35,7 +35,7 @@ def opening(trainer: Trainer) -> str:
     words += [f"{len(photographs.points)} {points}", f"background {red},{green},{blue}"]
     given = " of the scene to continue" if trainer.given else ""
     words += [f"{trainer.scaffold.count} anchors{given}", f"{settings.steps} steps"]
-    words.append(f"rate {settings.rate.weight:g}" if settings.rate.weight else "no rate: an uncompressed scene")
+    words.append(f"rate {settings.rate.lambda_r:g}" if settings.rate.lambda_r else "no rate: an uncompressed scene")
     if trainer.clock.done:
         words.append(f"from step {trainer.clock.done} on")
     return f"train: {', '.join(words)}"

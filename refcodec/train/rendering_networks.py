@@ -13,7 +13,7 @@ from ..bitstream.dimensions import RENDER_MODELS, RENDERING, STATIC
 from ..bitstream.networks import ACTIVATION_MAX, Layer
 from ..bitstream.splat import OUTPUT_BITS
 from ..encoder.weights import rendering_exponent
-from ..render.gaussians import VIEW_DEPENDENT
+from ..rendering.gaussians import VIEW_DEPENDENT
 from .rate_model.columns import Columns
 from .rate_model.units import grid_through
 

@@ -12,10 +12,10 @@ from torch import Tensor
 
 from ..bitstream.dimensions import RENDERING
 from ..photographs.photographs import PhotographSet
-from ..render.camera import Camera
-from ..render.constants import ALPHA_MIN
-from ..render.gaussians import check_view_dependent
-from ..render.harmonics import DEGREE_MAX
+from ..rendering.camera import Camera
+from ..rendering.constants import ALPHA_MIN
+from ..rendering.gaussians import check_view_dependent
+from ..rendering.harmonics import DEGREE_MAX
 from .continued import Beginning, beginning
 from .fit_input import Given
 from .rate_model.columns import Columns

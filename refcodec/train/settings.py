@@ -48,7 +48,7 @@ SLICES_MAX = 16
 # The degree of harmonics that training chooses.
 CHOSEN = -1
 # lambda_r of training, and of a fit that keeps its base steps.
-BASE_RATE = 0.004
+BASE_LAMBDA = 0.004
 
 
 # --- learning rates ---------------------------------------------------------------------------------------------------
@@ -214,8 +214,8 @@ class MaskSettings:
 class RateSettings:
     """L_rate, the bits of a parameter (the paper's equation 5), and its weight in the loss (its equation 4)."""
 
-    weight: float = setting(
-        BASE_RATE,
+    lambda_r: float = setting(
+        BASE_LAMBDA,
         "weight in the loss, lambda_r; 0 trains an uncompressed Scaffold-GS",
         f"{PRO}: 0.002 to 0.04",
         low=0,
@@ -447,8 +447,8 @@ class TrainSettings:
                 f"entropy.slices has {features} features, but must have {COLOURS}, which begin as an anchor's "
                 f"colour, to {FEATURES_MAX}"
             )
-        if self.static and not self.rate.weight:
-            raise ValueError("static is true, but an uncompressed scene (rate.weight = 0) must be view-dependent")
+        if self.static and not self.rate.lambda_r:
+            raise ValueError("static is true, but an uncompressed scene (rate.lambda_r = 0) must be view-dependent")
         for name in ("rendering_bits", "coarser"):
             least, most = getattr(self.weights, name)
             if least > most:
@@ -461,9 +461,9 @@ class FitSettings:
 
     steps: int = setting(4000, "steps of training, a batch of anchors each", unit="steps", low=0)
     seed: int = setting(0, "of all random numbers", low=0, high=2**63 - 1)
-    rate: float = setting(
-        BASE_RATE,
-        f"weight of the rate, lambda_r: all base steps are those below times the root of it over {BASE_RATE}, as the "
+    lambda_r: float = setting(
+        BASE_LAMBDA,
+        f"weight of the rate, lambda_r: all base steps are those below times the root of it over {BASE_LAMBDA}, as the "
         "squared error of a step grows with its square",
         low=1e-6,
         high=1,
@@ -476,8 +476,12 @@ class FitSettings:
         unit="steps",
         low=1,
     )
-    plane_rate: float = setting(0.01, "largest learning rate of the planes under the one-cycle schedule", low=0)
-    network_rate: float = setting(0.008, "largest learning rate of the networks under the one-cycle schedule", low=0)
+    plane_learning_rate: float = setting(
+        0.01, "largest learning rate of the planes under the one-cycle schedule", low=0
+    )
+    network_learning_rate: float = setting(
+        0.008, "largest learning rate of the networks under the one-cycle schedule", low=0
+    )
     clip: float = setting(1.0, "largest norm of the networks' gradient, which is scaled down to it", low=0)
     rounding: float = setting(0.6, "share of the steps after which planes are rounded, not noisy", low=0, high=1)
     integers: float = setting(0.85, "share of the steps after which activations are integers", low=0, high=1)

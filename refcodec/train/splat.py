@@ -1,4 +1,4 @@
-"""Drawing Gaussians as a function of torch's autograd: on the CPU with refcodec.render, on a GPU with gsplat."""
+"""Drawing Gaussians as a function of torch's autograd: on the CPU with refcodec.rendering, on a GPU with gsplat."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from typing import Any
 
 import torch
 
-from ..render.camera import Camera, check_camera
-from ..render.rasterise import Settings, rasterise, rasterise_backward
+from ..rendering.camera import Camera, check_camera
+from ..rendering.rasterise import Settings, rasterise, rasterise_backward
 
 Drawn = tuple[torch.Tensor, torch.Tensor, torch.Tensor]
 
@@ -16,7 +16,7 @@ class Rasterise(torch.autograd.Function):
     """Rasterise.apply(mean, quaternion, scale, opacity, colour, camera, settings, screen).
 
     Returns image, transmittance and radius, which has no gradient. Shapes, units and errors are those of
-    refcodec.render.rasterise.rasterise, whose arrays the results share. All tensors are on the CPU and are read as
+    refcodec.rendering.rasterise.rasterise, whose arrays the results share. All tensors are on the CPU and are read as
     float32. settings may be None.
 
     screen, a tensor of shape [N] or None, takes no part in the image. Its gradient is Gradients.screen, so that

@@ -7,7 +7,7 @@ from typing import Any
 
 from torch import Tensor
 
-from ..render.camera import Camera
+from ..rendering.camera import Camera
 from .state import Saved
 
 

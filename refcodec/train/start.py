@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 from ..bitstream.header import PositionGrid
 from ..encoder.positions import choose_grid
 from ..photographs.photographs import PhotographSet
-from ..render.camera import Camera
+from ..rendering.camera import Camera
 from .hull import carved
 from .settings import TrainSettings
 from .voxelise import default_voxel, short_mantissa

@@ -18,7 +18,7 @@ from ..bitstream.scene import Scene
 from ..files.interrupts import on_interrupt
 from ..folder.uncompressed import Uncompressed
 from ..photographs.photographs import PhotographSet
-from ..render.camera import STATED, spread_cameras
+from ..rendering.camera import STATED, spread_cameras
 from .estimate import coded_bytes, likely_bytes, uncompressed_bytes
 from .export import coded_scene, render_info, uncompressed
 from .fit_input import Given
@@ -93,7 +93,7 @@ class Trainer:
         self.scaffold = Scaffold(photographs, settings, self.random, self.device, given)
         self.stages: list[Stage] = []
         self.views = Views(photographs, self.scaffold, self.stages)
-        pace = Pace(self.clock, bool(settings.rate.weight))
+        pace = Pace(self.clock, bool(settings.rate.lambda_r))
         self.looks = Looks(settings.looks, self.views, self.estimate, self.clock, pace)
         self.rate: Rate | None = None
         self.stages += self._compose()
@@ -105,9 +105,11 @@ class Trainer:
         start = settings.masks.start
         growth = Growth(settings.growth, start, scaffold, clock, random, self._anchors_changed, self.photographs.pixels)
         always = [growth, Learning(settings.learning, scaffold, clock)]
-        if not settings.rate.weight:
+        if not settings.rate.lambda_r:
             return [*always, Averaging(scaffold, None, clock), self.looks]
-        masks = Masks(settings.masks, settings.rate.weight, scaffold, self.views.cameras, clock, self._anchors_changed)
+        masks = Masks(
+            settings.masks, settings.rate.lambda_r, scaffold, self.views.cameras, clock, self._anchors_changed
+        )
         quantisation = Quantisation(settings.quantisation, scaffold, clock, self.noise)
         self.rate = Rate(settings, scaffold, masks, quantisation, clock, random)
         grids = Grids(settings, scaffold, self.rate, self.views, self.estimate, clock)
@@ -196,7 +198,7 @@ class Trainer:
         if self.rate is None:
             return uncompressed_bytes(self.scaffold)
         if self.rate.model is None:
-            return likely_bytes(self.scaffold, self.settings.rate.weight)
+            return likely_bytes(self.scaffold, self.settings.rate.lambda_r)
         return coded_bytes(self.scaffold, self.rate)
 
     def result(self) -> Scene | Uncompressed:

@@ -13,9 +13,9 @@ from ..bitstream.dimensions import STATIC
 from ..bitstream.reconstruction import reconstruct
 from ..bitstream.scene import Scene
 from ..photographs.photographs import Photograph, PhotographSet
-from ..render.camera import Camera
-from ..render.gaussians import gaussians_of
-from ..render.rasterise import Settings
+from ..rendering.camera import Camera
+from ..rendering.gaussians import gaussians_of
+from ..rendering.rasterise import Settings
 from .scaffold import Gaussians, Scaffold
 from .splat import draw
 from .stage import Sight, Stage

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..render.camera import Camera
+from ..rendering.camera import Camera
 from .cpu.dispatch import has_kernel
 from .cpu.visible import visible_rows
 

@@ -19,7 +19,7 @@ const DISTANCE = 2.2;
 const SHAPES = 1.8;
 // The least angle between the view and the up axis, in radians.
 const STEEPEST = 0.02;
-// The limits at which image rows define the up direction, as in refcodec.render.camera, and the iterations.
+// The limits at which image rows define the up direction, as in refcodec.rendering.camera, and the iterations.
 const [ROWS_SPREAD, ROWS_LEVEL, POWERS] = [0.05, 0.25, 1000];
 
 // The lens of a camera, of the file or of a photograph.
@@ -37,7 +37,7 @@ export function poseOf({ rotation, translation }, { middle, radius }) {
   return { rotation: matrix, centre, pivot: depth > 0.05 * radius ? depth : radius };
 }
 
-// The up direction, as in refcodec.render.view.scene_up: the axis of 6.5, or more precisely the normal of the image
+// The up direction, as in refcodec.rendering.view.scene_up: the axis of 6.5, or more precisely the normal of the image
 // rows of the cameras, which levels the horizon.
 export function upOf({ up_axis }, cameras = []) {
   const axis = [0, 0, 0];

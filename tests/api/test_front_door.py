@@ -489,7 +489,7 @@ def test_a_url_is_read_by_ranges(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_scene_draws_itself(scene: refcodec.Scene) -> None:
     pytest.importorskip("numba")
-    from refcodec.render.view import View, eight_bits, own_camera  # noqa: PLC0415
+    from refcodec.rendering.view import View, eight_bits, own_camera  # noqa: PLC0415
 
     made = refcodec.render(scene)
     view = View(scene.coded)
@@ -500,29 +500,14 @@ def test_a_scene_draws_itself(scene: refcodec.Scene) -> None:
     assert len(scene.orbit(3)) == 3
 
 
-@pytest.mark.parametrize("first", ["refcodec.render.camera", "refcodec.api", "refcodec.cli.main"])
-def test_the_name_of_a_room_and_a_function(first: str) -> None:
-    """`refcodec.render` is called, and has modules, whichever of both was used first."""
-    program = f"""
-import {first}
-import refcodec, refcodec.render.gaussians as module
-class Scene:
-    def render(self, camera):
-        return camera
-print(refcodec.render(Scene(), 7), refcodec.render(Scene()), module.__name__, refcodec.render.camera.OWN)
-"""
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    assert done.stdout == "7 None refcodec.render.gaussians default\n"
-
-
 def test_a_missing_extra_is_named(scene: refcodec.Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "refcodec.render.view", None)
+    monkeypatch.setitem(sys.modules, "refcodec.rendering.view", None)
     with pytest.raises(ModuleNotFoundError, match=re.escape("pip install 'refcodec[render]'")):
         refcodec.render(refcodec.Scene(scene.coded))
 
 
 def _no_render(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "refcodec.render.view", None)
+    monkeypatch.setitem(sys.modules, "refcodec.rendering.view", None)
 
 
 def _too_large(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,7 +16,7 @@ pytest.importorskip("matplotlib")
 import torch
 
 from refcodec.photographs.photographs import PhotographSet, read_photographs
-from refcodec.render.harmonics import REST
+from refcodec.rendering.harmonics import REST
 
 CALITERRA = Path(__file__).resolve().parents[2] / "examples" / "photographs" / "caliterra"
 

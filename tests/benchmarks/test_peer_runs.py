@@ -20,7 +20,7 @@ from benchmarks.peers.scene import main as make_scene
 from benchmarks.peers.splats import quality, write_ply
 from benchmarks.peers.table import TableError, commands, report, tools, with_seeds, without
 from refcodec.photographs.photographs import read_photographs
-from refcodec.render.rasterise import Settings
+from refcodec.rendering.rasterise import Settings
 
 MakeSplats = Callable[[int, int], dict[str, torch.Tensor]]
 

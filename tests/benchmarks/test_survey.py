@@ -8,7 +8,7 @@ from benchmarks.survey import HEAD, rows
 
 
 def result(rate: float, psnr: float, size: int) -> dict[str, Any]:
-    settings = {"rate": {"weight": rate}}
+    settings = {"rate": {"lambda_r": rate}}
     mean = {"psnr_3dgs": psnr, "ssim_3dgs": 0.9}
     return {"definition": {"settings": settings}, "mean": mean, "bytes": size, "anchors": 10}
 

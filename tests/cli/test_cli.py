@@ -689,7 +689,7 @@ def test_the_rooms_of_the_codec_import_nothing_heavy():
     assert not {m.split(".")[0] for m in modules} & heavy
     loaded = {m.split(".")[1] for m in modules if m.startswith("refcodec.")}
     assert not loaded - {*rooms, "files", "native", "resources", "statuses"}
-    assert {m for m in modules if m.startswith("refcodec.render.")} <= {"refcodec.render.camera"}
+    assert {m for m in modules if m.startswith("refcodec.rendering.")} <= {"refcodec.rendering.camera"}
 
 
 # --- fit --------------------------------------------------------------------------------------------------------------

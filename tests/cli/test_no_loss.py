@@ -181,7 +181,7 @@ def test_images_keep_apart(photographs: Path, capsys: Any) -> None:
 
 def test_names_of_images() -> None:
     pytest.importorskip("PIL")
-    from refcodec.render.images import image_names  # noqa: PLC0415
+    from refcodec.rendering.images import image_names  # noqa: PLC0415
 
     assert image_names(["l/0.png", "r/0.png", "plain"]) == ["l/0.png", "r/0.png", "plain.png"]
     assert image_names(["0.jpg", "0.tif", "0.jpg", "0.jpg"]) == ["0.png", "0.tif.png", "0.jpg.png", "0.jpg-2.png"]

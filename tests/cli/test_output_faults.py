@@ -228,7 +228,7 @@ def shorten(case: Case, patch: pytest.MonkeyPatch) -> None:
         trainer.result = lambda: result
 
     if "orbit" in case.words:
-        view: Any = import_module("refcodec.render.view")
+        view: Any = import_module("refcodec.rendering.view")
         real = view.own_camera
         patch.setattr(view, "own_camera", lambda info: real(info).resized(16, 12))
     if ".glb" in case.words:

@@ -26,7 +26,7 @@ from refcodec.bitstream import cameras, codec
 from refcodec.bitstream.scene import Ancillary
 from refcodec.export.glb import glb_bytes
 from refcodec.export.splats import static_splats
-from refcodec.render.camera import axis_direction
+from refcodec.rendering.camera import axis_direction
 from refcodec.viewer.page import page
 
 pytestmark = [
@@ -48,8 +48,8 @@ def path(request: pytest.FixtureRequest) -> tuple[bytes, list[np.ndarray]]:
     """A static scene with harmonics of a degree that states a path of cameras, and what `refcodec render` draws."""
     for package in ("numba", "PIL", "scipy"):
         pytest.importorskip(package, reason="the pictures are compared with those of the extra render")
-    from refcodec.render.camera import named_camera  # noqa: PLC0415
-    from refcodec.render.view import View, eight_bits  # noqa: PLC0415
+    from refcodec.rendering.camera import named_camera  # noqa: PLC0415
+    from refcodec.rendering.view import View, eight_bits  # noqa: PLC0415
 
     scene = made_static(codec.parse((VALID / "trained-caliterra.c3gs").read_bytes()).scene, request.param)
     seen = View(scene)

@@ -28,8 +28,8 @@ from refcodec.bitstream.reconstruction import digest, reconstruct
 from refcodec.bitstream.reconstruction import gaussians as splat_of
 from refcodec.bitstream.scene import Ancillary, Scene
 from refcodec.bitstream.splat import HARMONICS, LENGTHS, LOGIT, MEAN, QUATERNION
-from refcodec.render.camera import Camera, default_camera
-from refcodec.render.gaussians import Gaussians, gaussians, gaussians_document
+from refcodec.rendering.camera import Camera, default_camera
+from refcodec.rendering.gaussians import Gaussians, gaussians, gaussians_document
 
 pytestmark = [pytest.mark.no_cover, pytest.mark.skipif(NODE is None, reason=MISSING)]
 

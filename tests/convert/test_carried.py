@@ -24,8 +24,8 @@ from refcodec.convert.networks import on_grids  # noqa: E402
 from refcodec.encoder.cloud import AnchorCloud  # noqa: E402
 from refcodec.encoder.quantise import order_anchors, varying  # noqa: E402
 from refcodec.folder.layout import SceneFolderError  # noqa: E402
-from refcodec.render.gaussians import gaussians  # noqa: E402
-from refcodec.render.view import View  # noqa: E402
+from refcodec.rendering.gaussians import gaussians  # noqa: E402
+from refcodec.rendering.view import View  # noqa: E402
 from refcodec.train.fit import base_steps, fit  # noqa: E402
 from refcodec.train.fit_input import Given  # noqa: E402
 from refcodec.train.settings import FitSettings  # noqa: E402
@@ -103,7 +103,7 @@ def test_a_training_goes_on_from_it(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert main([*words, "-o", str(tmp_path / "more")]) == 0
     # Whatever a scene lacks is not the fault of the photographs.
     capsys.readouterr()
-    assert main([*words, "-o", str(tmp_path / "none"), "--rate", "0"]) == 64
+    assert main([*words, "-o", str(tmp_path / "none"), "--lambda", "0"]) == 64
     assert f"{tmp_path / 'scene'} cannot be continued: it has masks" in capsys.readouterr().err
 
 

@@ -18,8 +18,8 @@ from refcodec.bitstream.reconstruction import reconstruct  # noqa: E402
 from refcodec.cli.main import main  # noqa: E402
 from refcodec.convert.checkpoint import read_checkpoint  # noqa: E402
 from refcodec.folder.uncompressed import Uncompressed, read_uncompressed  # noqa: E402
-from refcodec.render.camera import Camera  # noqa: E402
-from refcodec.render.gaussians import gaussians  # noqa: E402
+from refcodec.rendering.camera import Camera  # noqa: E402
+from refcodec.rendering.gaussians import gaussians  # noqa: E402
 
 torch.set_num_threads(1)
 CENTRES = ((0.3, -12.0, 1.0), (4.0, 3.0, -2.5))
@@ -155,7 +155,7 @@ def test_a_model_becomes_a_file(name: str, tmp_path: Path) -> None:
     for kind, step in zip(("features", "scalings", "offsets"), coded.base_step, strict=True):
         before, after = getattr(plain.values, kind)[kept][order[1]], getattr(found, kind)[order[0]]
         assert np.abs(before - after).max() <= step * 0.501
-    assert main(["encode", str(scene), "-o", str(coarse), "--steps", "30", "--rate", "0.064"]) == 0
+    assert main(["encode", str(scene), "-o", str(coarse), "--steps", "30", "--lambda", "0.064"]) == 0
     steps = parse(coarse.read_bytes()).scene.base_step
     np.testing.assert_allclose(steps, 4 * np.array(coded.base_step), rtol=1e-6)
     assert coarse.stat().st_size < file.stat().st_size
@@ -170,7 +170,7 @@ def test_a_file_draws_what_the_networks_say(name: str, tmp_path: Path) -> None:
     scene, file = tmp_path / "scene", tmp_path / "scene.c3gs"
     words = ["--appearance", "1"] if model.embedding else []
     assert main(["convert", str(tmp_path / "model"), "-o", str(scene), *words]) == 0
-    assert main(["encode", str(scene), "-o", str(file), "--steps", "30", "--rate", "0.000001"]) == 0
+    assert main(["encode", str(scene), "-o", str(file), "--steps", "30", "--lambda", "0.000001"]) == 0
     coded = parse(file.read_bytes()).scene
     values, kept = reconstruct(coded), np.flatnonzero(read_uncompressed(scene).masks.any(axis=1))
     # The model's number of each anchor of the file, by its place.

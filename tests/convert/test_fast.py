@@ -25,8 +25,8 @@ from refcodec.convert.importance import numbers, splats_of  # noqa: E402
 from refcodec.convert.linear import hidden_units, network  # noqa: E402
 from refcodec.convert.splats import drawn, tensors  # noqa: E402
 from refcodec.convert.views import AXES, near_plane, orbit  # noqa: E402
-from refcodec.render.rasterise import Settings  # noqa: E402
-from refcodec.render.view import View  # noqa: E402
+from refcodec.rendering.rasterise import Settings  # noqa: E402
+from refcodec.rendering.view import View  # noqa: E402
 
 
 def arrays(count: int = 300, degree: int = 2) -> dict[str, np.ndarray]:
@@ -103,8 +103,8 @@ def test_convert_fast(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     assert re.search(r" of 100 Gaussians, 3[78]\.\d dB to ", capsys.readouterr().out)
     scene = parse((tmp_path / "a.c3gs").read_bytes()).scene
     assert (scene.render.render_model, scene.render.up_axis) == (1, 4)
-    assert main([*words, "--rate", "0.01"]) == 64
-    assert "--rate applies only to a training" in capsys.readouterr().err
+    assert main([*words, "--lambda", "0.01"]) == 64
+    assert "--lambda applies only to a training" in capsys.readouterr().err
     assert main([*words[:-1], "--psnr", "40"]) == 64
     assert "--psnr applies only to --fast" in capsys.readouterr().err
 

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from refcodec.convert.harmonics import basis, colours
-from refcodec.render.harmonics import REST, ZERO, degree_of
+from refcodec.rendering.harmonics import REST, ZERO, degree_of
 
 
 def test_known_values() -> None:

@@ -23,8 +23,8 @@ from refcodec.convert.networks import on_grids  # noqa: E402
 from refcodec.encoder.cloud import AnchorCloud  # noqa: E402
 from refcodec.encoder.quantise import packed  # noqa: E402
 from refcodec.encoder.weights import quantise_rendering  # noqa: E402
-from refcodec.render.camera import Camera  # noqa: E402
-from refcodec.render.gaussians import gaussians  # noqa: E402
+from refcodec.rendering.camera import Camera  # noqa: E402
+from refcodec.rendering.gaussians import gaussians  # noqa: E402
 from refcodec.train.fit import fit  # noqa: E402
 from refcodec.train.fit_input import Given, read_given  # noqa: E402
 from refcodec.train.settings import FitSettings  # noqa: E402
@@ -42,7 +42,7 @@ def given(layout: str, folder: Path, count: int = 500) -> Given:
 
 
 def fitted(found: Given, rate: float) -> Scene:
-    return fit(found, FitSettings(steps=0, rate=rate)).scene
+    return fit(found, FitSettings(steps=0, lambda_r=rate)).scene
 
 
 def bits(scene: Scene, name: str) -> int:

@@ -24,8 +24,8 @@ from refcodec.export.formats import FORMATS, splat_file  # noqa: E402
 from refcodec.export.splats import Splats, draw  # noqa: E402
 from refcodec.export.views import views_of  # noqa: E402
 from refcodec.folder.uncompressed import Uncompressed, write_uncompressed  # noqa: E402
-from refcodec.render.camera import Camera  # noqa: E402
-from refcodec.render.view import View  # noqa: E402
+from refcodec.rendering.camera import Camera  # noqa: E402
+from refcodec.rendering.view import View  # noqa: E402
 
 # PyTorch advises against TorchScript, which is what Scaffold-GS loads.
 pytestmark = pytest.mark.filterwarnings("ignore:.torch.jit:DeprecationWarning")
@@ -114,7 +114,7 @@ def test_folders(form: str, view: View, cameras: list[Camera], tmp_path: Path) -
     else:
         scene = parse(TRAINED.read_bytes()).scene
         write_uncompressed(Uncompressed(reconstruct(scene), scene.masks, view.networks, view.info), plain)
-    assert main(["encode", str(plain), "-o", str(file), "--rate", "0.004", "--steps", "30"]) == 0
+    assert main(["encode", str(plain), "-o", str(file), "--lambda", "0.004", "--steps", "30"]) == 0
     assert_near(View(parse(file.read_bytes()).scene), view, cameras, FOLDER)
 
 

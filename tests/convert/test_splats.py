@@ -21,8 +21,8 @@ from refcodec.convert.splats import drawn, tensors  # noqa: E402
 from refcodec.convert.views import AXES, given, orbit, write_photographs  # noqa: E402
 from refcodec.folder.read import read_folder  # noqa: E402
 from refcodec.photographs.photographs import read_photographs  # noqa: E402
-from refcodec.render.camera import Camera  # noqa: E402
-from refcodec.render.rasterise import Settings  # noqa: E402
+from refcodec.rendering.camera import Camera  # noqa: E402
+from refcodec.rendering.rasterise import Settings  # noqa: E402
 
 Captured = pytest.CaptureFixture[str]
 SMALL = ("--size", "48", "--steps", "30")
@@ -85,9 +85,9 @@ def test_a_file_of_splats_becomes_a_file(tmp_path: Path, capsys: Captured) -> No
     write_sog(sog_entries(splats), tmp_path / "a.sog")
     scene, pictures, file = tmp_path / "scene", tmp_path / "pictures", tmp_path / "a.c3gs"
     words = ["convert", str(tmp_path / "a.sog"), "-o", str(scene), "--views", "16", "--up=+z", *SMALL]
-    assert main([*words, "--pictures", str(pictures), "--rate", "0.01"]) == 0
+    assert main([*words, "--pictures", str(pictures), "--lambda", "0.01"]) == 0
     report = json.loads((scene / "training.json").read_text())
-    assert report["settings"]["rate"]["weight"] == 0.01
+    assert report["settings"]["rate"]["lambda_r"] == 0.01
     assert len(report["quantised"]) == 2
     assert main(["encode", str(scene), "-o", str(file)]) == 0
     capsys.readouterr()
@@ -174,7 +174,7 @@ def test_the_cameras_of_a_model(tmp_path: Path, capsys: Captured) -> None:
     [
         (("a.ply", "--appearance", "1"), "--appearance applies only to model folders"),
         (("model", "--views", "5"), "--views applies only to splat files"),
-        (("model", "--rate", "0.1"), "--rate applies only to splat files"),
+        (("model", "--lambda", "0.1"), "--lambda applies only to splat files"),
         (("a.ply", "--resume"), "nothing to resume"),
         (("a.ply", "--size", "0"), "size"),
         (("a.ply", "--set", "steps=x"), "steps"),

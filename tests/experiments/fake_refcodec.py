@@ -28,7 +28,7 @@ def train(argv: list[str]) -> int:
     parser = argparse.ArgumentParser()
     parser.add_argument("photographs")
     parser.add_argument("-o", dest="output", required=True, type=Path)
-    parser.add_argument("--rate", type=float)
+    parser.add_argument("--lambda", dest="lambda_r", type=float)
     parser.add_argument("--steps", type=int)
     parser.add_argument("--size")
     for name in ("--threads", "--seed", "--preset", "--device", "--background", "--holdout", "--anchors", "--voxel"):
@@ -38,7 +38,7 @@ def train(argv: list[str]) -> int:
     parser.add_argument("--resume", action="store_true")
     parser.add_argument("--progress", action="store_true")
     arguments = parser.parse_args(argv)
-    if os.environ.get("FAKE_FAIL") == f"{arguments.rate:g}":
+    if os.environ.get("FAKE_FAIL") == f"{arguments.lambda_r:g}":
         print("it went wrong", file=sys.stderr)
         return 70
     stopped = False
@@ -61,10 +61,13 @@ def train(argv: list[str]) -> int:
         print(f"step {done}", file=sys.stderr, flush=True)
     # Fewer anchors at higher rates.
     scene = random_scene(
-        73, 30 if not arguments.rate else max(5, int(0.1 / arguments.rate)), gain=0.3, base_step=(0.5, 0.125, 0.25)
+        73,
+        30 if not arguments.lambda_r else max(5, int(0.1 / arguments.lambda_r)),
+        gain=0.3,
+        base_step=(0.5, 0.125, 0.25),
     )
     scene.networks["opacity"][-1][1][:] = 5
-    if arguments.rate:
+    if arguments.lambda_r:
         write_folder(scene, arguments.output)
     else:
         arguments.output.mkdir(exist_ok=True)

@@ -313,7 +313,7 @@ def test_what_is_wrong_is_said(
     assert "not allowed with" in refused("--scene", "snowmiku", "--photographs", "x")
     assert "at least 1" in refused("--steps", "0")
     assert "no setting masks.epsilom" in refused("-o", out, "--set", "masks.epsilom=1")
-    assert "rate.weight" in refused("-o", out, "--set", "rate.weight=1")
+    assert "rate.lambda_r" in refused("-o", out, "--set", "rate.lambda_r=1")
     assert "R,G,B" in refused("-o", out, "--background", "grey")
     monkeypatch.setattr(demo, "EXAMPLES", tmp_path)
     assert "--photographs" in refused("-o", out)

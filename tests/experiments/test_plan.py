@@ -67,14 +67,14 @@ def test_the_cells(tmp_path: Path) -> None:
     assert [cell.name for cell in cells(experiment, ("*/b/*seed-7", "one/whole/*-0"))] == [names[4], names[9]]
     one, whole, two = (next(cells(experiment, (name,))) for name in (names[0], names[4], names[8]))
     train, encode, shown = one.commands(Path("w"), Path("photographs"), 3)
-    words = "train photographs -o w/scene --preset fast --rate 0.004 --seed 0 --size 40 --steps 5"
+    words = "train photographs -o w/scene --preset fast --lambda 0.004 --seed 0 --size 40 --steps 5"
     assert list(train.arguments) == words.split()
     assert train.free == ("--threads", "3", "--progress")
     assert list(encode.arguments) == ["encode", "w/scene", "-o", "w/scene.c3gs"]
     assert list(shown.arguments) == ["eval", "w/scene.c3gs", "photographs", "--size", "40", "--json"]
     assert (encode.after, shown.after) == ((train.name,), (encode.name,))
     train, shown = whole.commands(Path("w"), Path("photographs"), 3)
-    assert train.arguments[train.arguments.index("--rate") + 1] == "0"
+    assert train.arguments[train.arguments.index("--lambda") + 1] == "0"
     assert list(shown.arguments) == ["eval", "w/scene", "photographs", "--size", "40", "--json"]
     assert shown.after == (train.name,)
     train, _, shown = two.commands(Path("w"), Path("photographs"), 3)
@@ -85,7 +85,7 @@ def test_the_cells(tmp_path: Path) -> None:
     assert (two.settings.background, two.settings.holdout, two.settings.start.anchors) == ("white", 5, 700)
     # What a method sets is set after what the scene sets.
     assert (two.settings.masks.epsilon, two.settings.growth.most) == (0.03, 99)
-    assert (two.settings.rate.weight, two.settings.steps, two.settings.seed, two.settings.size) == (0.5, 5, 0, "400")
+    assert (two.settings.rate.lambda_r, two.settings.steps, two.settings.seed, two.settings.size) == (0.5, 5, 0, "400")
 
 
 def test_settings_are_those_of_the_command(tmp_path: Path) -> None:
@@ -163,7 +163,7 @@ def test_where_photographs_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
         ("masks.epsilon=0.03", "masks.epsilom=0.03", "no setting masks.epsilom"),
         ("masks.epsilon=0.03", "masks.epsilon=2", "0 to 1"),
         ("masks.epsilon=0.03", "masks.epsilon", "not NAME=VALUE"),
-        ("masks.epsilon=0.03", "rate.weight=0.1", "use rates instead"),
+        ("masks.epsilon=0.03", "rate.lambda_r=0.1", "use rates instead"),
         ("masks.epsilon=0.03", " seed =1", "use seeds instead"),
         ('["masks.epsilon=0.03"]', "{a = 1}", "a list of"),
         ("[[scenes]]", "[scenes]", "not TOML"),

@@ -132,14 +132,14 @@ def test_options_of_train_are_passed_on(tmp_path: Path) -> None:
     assert (scene.anchors, scene.up, scene.assignments) == (700, "-z", ("masks.epsilon=0.02",))
     result = json.loads((cell(out, "0.04") / "result.json").read_text())
     train, _, evaluated = result["definition"]["commands"]
-    words = "--rate 0.04 --seed 0 --size 40 --holdout 30 --background 9,20,30 --steps 2 --up=-z"
+    words = "--lambda 0.04 --seed 0 --size 40 --holdout 30 --background 9,20,30 --steps 2 --up=-z"
     assert " ".join(train).endswith(f"{words} --set start.anchors=700 --set masks.epsilon=0.02")
     assert evaluated[-5:] == ["--size", "40", "--holdout", "30", "--json"]
     assert len(result["images"]) == 3
     # As train refuses them, before any training.
     for wrong in ("--holdout -1", "--voxel 0", "--voxel 1 --anchors 9", "--set masks.epsilom=1", "--background grey"):
         assert main([*command[:2], "-o", str(tmp_path / "none"), *wrong.split()]) == 64
-    assert main([*command, "--set", "rate.weight=0.1"]) == 64
+    assert main([*command, "--set", "rate.lambda_r=0.1"]) == 64
     assert not (tmp_path / "none").exists()
 
 

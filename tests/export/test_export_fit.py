@@ -23,10 +23,10 @@ from refcodec.bitstream.dimensions import RENDERING  # noqa: E402
 from refcodec.export.fit import agreement, fit, render_settings  # noqa: E402
 from refcodec.export.splats import draw, opacities  # noqa: E402
 from refcodec.export.views import FEW, SIDE, views_of  # noqa: E402
-from refcodec.render.camera import Camera, looking, named_camera  # noqa: E402
-from refcodec.render.gaussians import gaussians  # noqa: E402
-from refcodec.render.rasterise import rasterise  # noqa: E402
-from refcodec.render.view import View, own_camera  # noqa: E402
+from refcodec.rendering.camera import Camera, looking, named_camera  # noqa: E402
+from refcodec.rendering.gaussians import gaussians  # noqa: E402
+from refcodec.rendering.rasterise import rasterise  # noqa: E402
+from refcodec.rendering.view import View, own_camera  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[2]
 TRAINED = ROOT / "vectors" / "valid" / "trained-caliterra.c3gs"

@@ -27,8 +27,8 @@ from refcodec.bitstream.cameras import rotation_matrix  # noqa: E402
 from refcodec.export.formats import FORMATS, splat_file  # noqa: E402
 from refcodec.export.splats import Splats, opacities  # noqa: E402
 from refcodec.export.spz import BITS_LEAST, BITS_MOST, spz_file  # noqa: E402
-from refcodec.render.camera import axis_direction  # noqa: E402
-from refcodec.render.harmonics import REST, rest_harmonics  # noqa: E402
+from refcodec.rendering.camera import axis_direction  # noqa: E402
+from refcodec.rendering.harmonics import REST, rest_harmonics  # noqa: E402
 
 UP = axis_direction(3)
 ARRAYS = ("mean", "base", "rest", "opacity", "scale", "quaternion")

@@ -22,8 +22,8 @@ from refcodec.bitstream.reconstruction import reconstruct  # noqa: E402
 from refcodec.bitstream.scene import Ancillary, Scene  # noqa: E402
 from refcodec.cli.main import main  # noqa: E402
 from refcodec.folder.ply import read_cloud  # noqa: E402
-from refcodec.render.camera import default_camera  # noqa: E402
-from refcodec.render.gaussians import gaussians  # noqa: E402
+from refcodec.rendering.camera import default_camera  # noqa: E402
+from refcodec.rendering.gaussians import gaussians  # noqa: E402
 
 # PyTorch advises against TorchScript, which is what Scaffold-GS loads.
 pytestmark = pytest.mark.filterwarnings("ignore:.torch.jit:DeprecationWarning")

@@ -26,9 +26,9 @@ from refcodec.convert.splat_arrays import Arrays
 from refcodec.convert.splat_ply import read_splat_ply
 from refcodec.export.formats import splat_file
 from refcodec.export.splats import Splats, opacities, static_splats
-from refcodec.render.camera import axis_direction
-from refcodec.render.gaussians import RenderModelError
-from refcodec.render.harmonics import REST
+from refcodec.rendering.camera import axis_direction
+from refcodec.rendering.gaussians import RenderModelError
+from refcodec.rendering.harmonics import REST
 from refcodec.statuses import USAGE
 
 VALID = Path(__file__).resolve().parents[2] / "vectors" / "valid"
@@ -167,7 +167,7 @@ def test_pictures_are_the_same(name: str, suffix: str, least: float, tmp_path: P
     pytest.importorskip("PIL")
     from refcodec.export.fit import render_settings  # noqa: PLC0415
     from refcodec.export.splats import draw  # noqa: PLC0415
-    from refcodec.render.view import View  # noqa: PLC0415
+    from refcodec.rendering.view import View  # noqa: PLC0415
 
     view = View(scene_of(name))
     found = read(static_splats(scene_of(name)), suffix, tmp_path)

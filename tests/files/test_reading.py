@@ -24,7 +24,7 @@ from refcodec.files.ply import PlyError, check_ply_header
 from refcodec.folder.layout import SceneFolderError
 from refcodec.folder.ply import ply_properties, read_cloud
 from refcodec.folder.uncompressed import Uncompressed, read_uncompressed, write_uncompressed
-from refcodec.render.camera import read_camera
+from refcodec.rendering.camera import read_camera
 
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLE = ROOT / "vectors" / "tiny-example.c3gs"

@@ -260,7 +260,7 @@ def test_views_are_those_of_a_renderer() -> None:
     """SPEC 14.2, beside the renderer's own camera."""
     pytest.importorskip("numba")
     from refcodec.inspect.page.views import projected  # noqa: PLC0415
-    from refcodec.render.camera import default_camera  # noqa: PLC0415
+    from refcodec.rendering.camera import default_camera  # noqa: PLC0415
 
     camera = NamedCamera("c", 80, 60, (70.0, 60.0), (41.0, 28.0), (0.9, 0.1, -0.3, 0.2), (0.2, -0.1, 3.0))
     points = np.random.default_rng(1).normal(0, 1, (200, 3))

@@ -112,7 +112,7 @@ def test_the_record_of_lines_is_current() -> None:
     lines = json.loads(coverage.record(sites, found, SUITE))["lines"]
     own = next(site.line for site in sites if site.function == "U")
     assert lines[str(own)] == [len(known), SUITE.vectors.index(EXAMPLE)]
-    assert "images: tests/render" in lines.values()
+    assert "images: tests/rendering" in lines.values()
 
 
 def _with_value(path: str, change: int) -> bytes:

@@ -10,7 +10,7 @@ import torch
 
 from refcodec.bitstream.scene import Scene
 from refcodec.photographs.photographs import PhotographSet
-from refcodec.render.camera import Camera
+from refcodec.rendering.camera import Camera
 from refcodec.train.scaffold import Scaffold
 from refcodec.train.schedule import Clock
 from refcodec.train.settings import TrainSettings

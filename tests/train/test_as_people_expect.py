@@ -29,7 +29,7 @@ def place(source: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
     place = tmp_path_factory.mktemp("trained")
     assert main(["train", source, "-o", str(place / "scene"), *TINY, *CHOSEN]) == 0
     assert main(["encode", str(place / "scene"), "-o", str(place / "scene.c3gs")]) == 0
-    assert main(["train", source, "-o", str(place / "plain"), *TINY, *CHOSEN, "--rate", "0"]) == 0
+    assert main(["train", source, "-o", str(place / "plain"), *TINY, *CHOSEN, "--lambda", "0"]) == 0
     return place
 
 
@@ -108,7 +108,7 @@ def test_a_report_that_is_none(place: Path, source: str, tmp_path: Path, capsys:
 def test_a_folder_where_a_file_belongs(
     place: Path, source: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["encode", str(place / "scene"), "-o", str(tmp_path / "x.c3gs"), "--rate", "0.01"]) == 64
+    assert main(["encode", str(place / "scene"), "-o", str(tmp_path / "x.c3gs"), "--lambda", "0.01"]) == 64
     said = capsys.readouterr().err
     assert said.count("\n") == 1
     assert "is coded already" in said

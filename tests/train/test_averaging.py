@@ -27,7 +27,7 @@ def test_a_training_ends_with_means(
     rate: float, photographs: PhotographSet, small: TrainSettings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of tables, rendering networks, planes and coding networks: every fifth step from the phase's begin on."""
-    trainer = Trainer(photographs, varied(small, {"steps": STEPS, "rate.weight": rate, **EARLY}))
+    trainer = Trainer(photographs, varied(small, {"steps": STEPS, "rate.lambda_r": rate, **EARLY}))
     seen: list[dict[str, Tensor]] = []
     count = Averaging._count
 

@@ -20,7 +20,7 @@ from refcodec.cli.main import main  # noqa: E402
 from refcodec.encoder.cloud import AnchorCloud  # noqa: E402
 from refcodec.folder.uncompressed import Uncompressed, write_uncompressed  # noqa: E402
 from refcodec.photographs.photographs import read_photographs  # noqa: E402
-from refcodec.render.view import View, eight_bits  # noqa: E402
+from refcodec.rendering.view import View, eight_bits  # noqa: E402
 from refcodec.train.continued import CONTINUED, MASKED, beginning, continued_settings  # noqa: E402
 from refcodec.train.fit_input import read_given  # noqa: E402
 from refcodec.train.settings import PRESETS, Phase  # noqa: E402
@@ -121,7 +121,7 @@ def test_masks_and_phases(tmp_path: Path) -> None:
     assert continued_settings(given, replace(PRESETS["fast"], phases=own)).phases == own
     found = beginning(given, photographs, settings)
     assert np.array_equal(found.tables["masks"] > MASKED, scene.masks[np.lexsort(scene.values.positions.T[::-1])])
-    plain = varied(settings, {"rate.weight": 0.0})
+    plain = varied(settings, {"rate.lambda_r": 0.0})
     with pytest.raises(ValueError, match="has masks"):
         beginning(given, photographs, plain)
     empty = AnchorCloud(*(values[:0] for values in vars(given.cloud).values()))

@@ -239,7 +239,7 @@ def test_a_step_is_that_of_the_cpu(device: str, tiny: PhotographSet, tmp_path: P
 @pytest.mark.slow
 @pytest.mark.parametrize("rate", [0.004, 0.0])
 def test_a_training_is_as_good_as_on_the_cpu(rate: float, device: str, tiny: PhotographSet) -> None:
-    settings = varied(TrainSettings(), {**SHORT, "rate.weight": rate})
+    settings = varied(TrainSettings(), {**SHORT, "rate.lambda_r": rate})
     found, expected = trained(tiny, settings, device), trained(tiny, settings, "cpu")
     assert isinstance(found.scaffold.tables["features"], Pretended)
     assert found.scaffold.count == pytest.approx(expected.scaffold.count, rel=0.02)

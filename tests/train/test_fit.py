@@ -40,7 +40,7 @@ from refcodec.inspect.elements import outline_of  # noqa: E402
 from refcodec.inspect.page.measures import Measures  # noqa: E402
 from refcodec.inspect.parts import part_bytes  # noqa: E402
 from refcodec.photographs.photographs import PhotographSet  # noqa: E402
-from refcodec.render.view import View  # noqa: E402
+from refcodec.rendering.view import View  # noqa: E402
 from refcodec.train import fit, voxelise  # noqa: E402
 from refcodec.train.fit_input import Given, read_given  # noqa: E402
 from refcodec.train.rate_model.bits import gauss_bits, laplace_bits  # noqa: E402
@@ -482,7 +482,7 @@ def test_the_default_dimensions_of_scaffold_gs(cloud: AnchorCloud, tmp_path: Pat
 @pytest.fixture(scope="module")
 def plain(photographs: PhotographSet, small: TrainSettings, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of an uncompressed scene that was trained for seconds."""
-    trainer = Trainer(photographs, varied(small, {"rate.weight": 0.0, "steps": 400}))
+    trainer = Trainer(photographs, varied(small, {"rate.lambda_r": 0.0, "steps": 400}))
     trainer.run(lambda _: None)
     result, folder = trainer.result(), tmp_path_factory.mktemp("plain") / "scene"
     assert isinstance(result, Uncompressed)

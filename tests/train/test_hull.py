@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from refcodec.photographs.photographs import PhotographSet, read_photographs
-from refcodec.render.camera import looking
+from refcodec.rendering.camera import looking
 from refcodec.train import start
 from refcodec.train.hull import carved
 from refcodec.train.settings import TrainSettings

@@ -44,7 +44,7 @@ CLOCK = Clock(TINY.phases, TINY.steps)
 STEPS = sorted({max(CLOCK.step_of(phase.begin) + more, 1) for phase in TINY.phases for more in (0, 1)} | {TINY.steps})
 METHODS: dict[str, dict[str, Any]] = {
     "coded": {},
-    "uncompressed": {"rate.weight": 0.0},
+    "uncompressed": {"rate.lambda_r": 0.0},
     "without planes": {"entropy.channels": 0},
     "without a hyperprior": {"entropy.channels": 0, "entropy.frequencies": 0, "entropy.layers": 0},
     "without masks": {"masks.used": False},
@@ -91,7 +91,7 @@ def test_every_step_follows_from_the_saved_state(changes: dict[str, Any], few: P
         assert (whole.clock.done, same(whole.state(), again.state())) == (whole.clock.done, [])
         if whole.scaffold.count > before:
             grown.append(whole.clock.done)
-    if settings.rate.weight:
+    if settings.rate.lambda_r:
         assert CLOCK.step_of(CLOCK.begin("rate")) in grown
 
 

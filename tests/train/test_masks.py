@@ -16,7 +16,7 @@ from refcodec.train.trainer import Trainer
 
 def masked(photographs: PhotographSet, small: TrainSettings) -> Trainer:
     """A training just before a step after which anchors are dropped, whose every third anchor has no kept offset."""
-    settings = varied(small, {"steps": 40, "masks.drop_period": 5, "rate.weight": 0.01})
+    settings = varied(small, {"steps": 40, "masks.drop_period": 5, "rate.lambda_r": 0.01})
     trainer = Trainer(photographs, settings)
     while trainer.clock.mode("rate") == "off" or trainer.clock.done % 5 != 4:
         trainer.step()

@@ -234,7 +234,7 @@ def test_first_and_last_lines(examples: Path, tmp_path: Path, capsys: pytest.Cap
     size = sum(report["bytes"][part] for part in PARTS) + UNCOUNTED
     assert lines[1] == f"held-out PSNR {mean:.2f} dB of 10 photographs; about {size / 1000:.0f} KB in a file"
     assert lines[2:] == [f"next: refcodec encode '{scene}' -o '{scene}.c3gs'"]
-    words = [*TINY, "--steps", "3", "--rate", "0", "--holdout", "0", "--log", str(log)]
+    words = [*TINY, "--steps", "3", "--lambda", "0", "--holdout", "0", "--log", str(log)]
     assert main(["train", source, "-o", str(scene), *words]) == 0
     assert logged()
     said = capsys.readouterr()

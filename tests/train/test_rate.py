@@ -15,7 +15,7 @@ from refcodec.inspect.elements import outline_of
 from refcodec.inspect.page.measures import Measures
 from refcodec.inspect.parts import part_bytes
 from refcodec.photographs.photographs import PhotographSet
-from refcodec.render.view import View
+from refcodec.rendering.view import View
 from refcodec.train.rate_model.model import OFFSETS
 from refcodec.train.settings import TrainSettings
 from refcodec.train.settings_file import varied

@@ -82,11 +82,11 @@ def test_what_is_printed_reads_back(preset: str, tmp_path: Path, capsys: pytest.
 
 def test_one_comes_after_the_other(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The preset, the file, --set, and the options of their own."""
-    (tmp_path / "settings.toml").write_text("steps = 7\nseed = 5\n[growth]\nperiod = 11\n[rate]\nweight = 0.01\n")
+    (tmp_path / "settings.toml").write_text("steps = 7\nseed = 5\n[growth]\nperiod = 11\n[rate]\nlambda_r = 0.01\n")
     words = ["--preset", "paper", "--settings", str(tmp_path / "settings.toml"), "--set", "growth.period=12"]
-    assert main(["train", *words, "--set", "steps=8", "--rate", "0.02", "--print-settings"]) == 0
+    assert main(["train", *words, "--set", "steps=8", "--lambda", "0.02", "--print-settings"]) == 0
     (tmp_path / "printed.toml").write_text(capsys.readouterr().out)
-    changes = {"steps": 8, "seed": 5, "growth.period": 12, "rate.weight": 0.02}
+    changes = {"steps": 8, "seed": 5, "growth.period": 12, "rate.lambda_r": 0.02}
     assert from_toml(tmp_path / "printed.toml", TrainSettings()) == varied(PRESETS["paper"], changes)
 
 

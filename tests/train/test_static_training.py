@@ -16,7 +16,7 @@ from refcodec.bitstream.reconstruction import reconstruct
 from refcodec.bitstream.scene import Scene
 from refcodec.encoder.weights import pack_weights
 from refcodec.photographs.photographs import PhotographSet
-from refcodec.render.gaussians import gaussians_of
+from refcodec.rendering.gaussians import gaussians_of
 from refcodec.train.settings import TrainSettings
 from refcodec.train.settings_file import SettingsError, varied
 from refcodec.train.state import restore, save
@@ -81,4 +81,4 @@ def test_a_static_training_continues_from_its_state(
 
 def test_an_uncompressed_scene_is_not_static(small: TrainSettings) -> None:
     with pytest.raises(SettingsError, match="must be view-dependent"):
-        varied(small, {"static": True, "rate.weight": 0.0})
+        varied(small, {"static": True, "rate.lambda_r": 0.0})

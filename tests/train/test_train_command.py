@@ -52,7 +52,7 @@ def test_command(examples: Path, tmp_path: Path, capsys: pytest.CaptureFixture[s
 @pytest.mark.slow
 def test_command_without_rate(examples: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     source, folder = str(examples / "snowmiku"), tmp_path / "scaffold"
-    assert main(["train", source, "-o", str(folder), "--rate", "0", "--steps", "20", "--size", "64"]) == 0
+    assert main(["train", source, "-o", str(folder), "--lambda", "0", "--steps", "20", "--size", "64"]) == 0
     scene = read_uncompressed(folder)
     assert main(["eval", str(folder), source, "--size", "64", "--json"]) == 0
     found = json.loads(capsys.readouterr().out.split("\n", 3)[3])
@@ -74,8 +74,8 @@ def test_command_without_rate(examples: Path, tmp_path: Path, capsys: pytest.Cap
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--rate", "2"], "0 to 1"),
-        (["--rate", "0", "--meta", "title=x"], "no metadata"),
+        (["--lambda", "2"], "0 to 1"),
+        (["--lambda", "0", "--meta", "title=x"], "no metadata"),
         (["--meta", "Title=x"], "key"),
         (["--steps", "0"], "at least 1"),
         (["--size", "0x5"], "size"),
@@ -111,7 +111,7 @@ def test_the_bitstream_side_does_not_import_training() -> None:
 import sys
 from refcodec.bitstream import codec
 from refcodec.evaluate import evaluation
-from refcodec.render import view
+from refcodec.rendering import view
 print([m for m in sys.modules if m == 'torch' or m.startswith('refcodec.train')])
 """
     assert subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout == "[]\n"

@@ -6,7 +6,7 @@ import numpy as np
 from numba import prange
 from numpy.typing import NDArray
 
-from ...render.compiled import compiled
+from ...rendering.compiled import compiled
 from ..adam import ADAM_EPSILON
 from ..adam import BETA_1 as _BETA_1
 from ..adam import BETA_2 as _BETA_2
@@ -38,7 +38,9 @@ def share_rows(rows: I64, gradient: F32, place: I64, to: F32) -> I64:
 
 
 @compiled(parallel=True)
-def adam_rows(table: F32, first: F32, second: F32, steps: int, rows: I64, gradient: F32, rate: np.float32) -> None:
+def adam_rows(
+    table: F32, first: F32, second: F32, steps: int, rows: I64, gradient: F32, learning_rate: np.float32
+) -> None:
     """One step of Adam on table[rows].
 
     first, second: its moments, shaped like the table. steps: of training, from 1, for the correction of the moments'
@@ -55,4 +57,4 @@ def adam_rows(table: F32, first: F32, second: F32, steps: int, rows: I64, gradie
             m = BETA_1 * first[i, c] + _REST_1 * g
             v = BETA_2 * second[i, c] + _REST_2 * g * g
             first[i, c], second[i, c] = m, v
-            table[i, c] -= rate * (m * by_first) / (np.sqrt(v * by_second) + EPSILON)
+            table[i, c] -= learning_rate * (m * by_first) / (np.sqrt(v * by_second) + EPSILON)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from ...bitstream.tables import SCALE_MIN
-from ...render.compiled import compiled
+from ...rendering.compiled import compiled
 from ..rate_model.units import MEAN_UNIT
 from .layers import Plan, layer_backward, layer_forward
 from .likelihood import array, likelihood

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from ...bitstream.networks import ACTIVATION_MAX
-from ...render.compiled import compiled
+from ...rendering.compiled import compiled
 
 F32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]

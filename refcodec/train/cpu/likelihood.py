@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from ...bitstream.tables import SCALE_MIN
-from ...render.compiled import compiled
-from ...render.simd import WIDTH, exp2, fma, load, maximum, minimum, select, splat, store
+from ...rendering.compiled import compiled
+from ...rendering.simd import WIDTH, exp2, fma, load, maximum, minimum, select, splat, store
 from ..rate_model.units import MEAN_UNIT, SCALE_MOST, SCALE_UNIT
 
 F32 = NDArray[np.float32]

@@ -14,8 +14,8 @@ from numba import prange
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
-from ...render.compiled import compiled
-from ...render.simd import WIDTH, fma, fnma, load, splat, store, total
+from ...rendering.compiled import compiled
+from ...rendering.simd import WIDTH, fma, fnma, load, splat, store, total
 from ..ssim import C1 as _C1
 from ..ssim import C2 as _C2
 from ..ssim import RADIUS, TAPS, WINDOW

@@ -17,8 +17,8 @@ from torch import Tensor
 
 from ...bitstream.networks import ACTIVATION_MAX
 from ...bitstream.tables import SCALE_MIN
-from ...render.compiled import compiled
-from ...render.simd import WIDTH, fma, load, maximum, minimum, round_down, select, splat, store
+from ...rendering.compiled import compiled
+from ...rendering.simd import WIDTH, fma, load, maximum, minimum, round_down, select, splat, store
 from ..rate_model.units import MEAN_UNIT
 from .layers import Plan, fold, unfold
 from .likelihood import array, one_likelihood

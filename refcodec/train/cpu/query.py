@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from ...bitstream.networks import ACTIVATION_MAX
-from ...render.compiled import compiled
-from ...render.simd import WIDTH, fma, load, splat, store
+from ...rendering.compiled import compiled
+from ...rendering.simd import WIDTH, fma, load, splat, store
 from ..rate_model.units import PLANE_SHIFT
 
 F32 = NDArray[np.float32]

@@ -15,7 +15,7 @@ from numba import prange
 from numpy.typing import NDArray
 from torch import Tensor
 
-from ...render.compiled import compiled
+from ...rendering.compiled import compiled
 from ..harmonics import harmonics_torch
 
 F32 = NDArray[np.float32]

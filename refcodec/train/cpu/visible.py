@@ -8,7 +8,7 @@ import numpy as np
 from numba import prange
 from numpy.typing import NDArray
 
-from ...render.compiled import compiled
+from ...rendering.compiled import compiled
 
 F32 = NDArray[np.float32]
 

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 
 from ...bitstream.networks import WEIGHT_MAX
-from ...render.harmonics import DEGREE_MAX
+from ...rendering.harmonics import DEGREE_MAX
 from ..losses import photometric
 from ..scaffold import Scaffold
 from ..schedule import Clock
@@ -98,7 +98,9 @@ class Grids(Stage):
         shown = sum(float(photometric(views.draw(p.camera), views.pixels(p), settings.loss.ssim)) for p in judges)
         parts = self.estimate()
         bits = 8 * (parts["attributes"] + parts["weights"] + settings.rate.planes * parts["planes"])
-        return shown / len(judges) + settings.rate.weight * bits / (self.rate.masks.total * self.scaffold.columns.width)
+        return shown / len(judges) + settings.rate.lambda_r * bits / (
+            self.rate.masks.total * self.scaffold.columns.width
+        )
 
     def state(self) -> dict[str, Any]:
         """Whether there are grids, and the degree of harmonics; steps and units are the networks' own."""

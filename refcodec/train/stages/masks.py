@@ -12,7 +12,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ...render.camera import Camera
+from ...rendering.camera import Camera
 from ..scaffold import Scaffold
 from ..schedule import Clock
 from ..settings import MaskSettings

@@ -200,7 +200,7 @@ class Rate(Stage):
         if self.clock.done % settings.plane_period == 0:
             # A-RDO: the term is not scaled up for the steps that lack it.
             loss = loss + settings.planes * self.model.plane_bits(planes) / symbols_of_all
-        return settings.weight * loss
+        return settings.lambda_r * loss
 
     def descend(self, step: Step) -> None:
         """A step of Adam for planes and coding networks."""

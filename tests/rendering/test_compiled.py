@@ -12,7 +12,7 @@ import pytest
 pytest.importorskip("numba")
 
 import refcodec
-from refcodec.render import blending, compiled, constants, simd, tiles
+from refcodec.rendering import blending, compiled, constants, simd, tiles
 
 PACKAGE = Path(refcodec.__file__).parent
 

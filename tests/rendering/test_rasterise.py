@@ -20,8 +20,8 @@ pytest.importorskip("numba", reason="images need the packages of the extra rende
 from hypothesis import given  # noqa: E402
 from hypothesis import strategies as st  # noqa: E402
 
-from refcodec.render.camera import Camera  # noqa: E402
-from refcodec.render.rasterise import Settings, rasterise, rasterise_backward  # noqa: E402
+from refcodec.rendering.camera import Camera  # noqa: E402
+from refcodec.rendering.rasterise import Settings, rasterise, rasterise_backward  # noqa: E402
 from refcodec.train import splat  # noqa: E402
 from refcodec.train.cpu.photometric import Photometric, similarity  # noqa: E402
 from refcodec.train.splat import Rasterise  # noqa: E402
@@ -417,7 +417,7 @@ for threads in (1, 2, 3):
 
 
 def test_no_torch() -> None:
-    code = "import sys, refcodec.render.rasterise; print('torch' in sys.modules)"
+    code = "import sys, refcodec.rendering.rasterise; print('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout == "False\n"
 
 

@@ -26,8 +26,8 @@ from refcodec.bitstream.cameras import CAMERAS, NamedCamera, emit_cameras  # noq
 from refcodec.bitstream.scene import Ancillary  # noqa: E402
 from refcodec.cli.main import main  # noqa: E402
 from refcodec.evaluate.quality import measures  # noqa: E402
-from refcodec.render.camera import looking  # noqa: E402
-from refcodec.render.view import View, eight_bits, gif, own_camera, png  # noqa: E402
+from refcodec.rendering.camera import looking  # noqa: E402
+from refcodec.rendering.view import View, eight_bits, gif, own_camera, png  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[2]
 PHOTOGRAPHS = ROOT / "examples" / "photographs" / "caliterra"
@@ -98,7 +98,7 @@ def test_what_is_no_camera_draws_nothing(wrong: dict[str, Any], monkeypatch: pyt
     """A ValueError by each method that takes a camera, before any Gaussian is computed."""
     scene = refcodec.decode(EXAMPLE)
     camera = replace(scene.camera, **wrong)
-    monkeypatch.setattr("refcodec.render.view.gaussians", pytest.fail)
+    monkeypatch.setattr("refcodec.rendering.view.gaussians", pytest.fail)
     monkeypatch.setattr("refcodec.api.scenes.gaussians_of", pytest.fail)
     for use in (scene.render, scene.gaussians, partial(refcodec.render, scene)):
         with pytest.raises(ValueError, match=r"image|focal|rotation|translation"):
@@ -114,7 +114,7 @@ def test_sides_of_numpy_are_sides() -> None:
 
 
 def test_what_does_not_fit_in_memory_is_refused(tmp_path: Path, monkeypatch, capsys) -> None:
-    monkeypatch.setattr("refcodec.render.rasterise.PAIRS_MAX", 0)
+    monkeypatch.setattr("refcodec.rendering.rasterise.PAIRS_MAX", 0)
     assert main(["render", str(EXAMPLE), "-o", str(tmp_path / "images")]) == 64
     assert "cannot be drawn" in capsys.readouterr().err
     assert main(["eval", str(EXAMPLE), str(PHOTOGRAPHS), "--size", "32"]) == 64
@@ -243,14 +243,14 @@ def test_what_is_wrong_is_said(
         if m
         in (
             "refcodec.evaluate.evaluation",
-            "refcodec.render.view",
+            "refcodec.rendering.view",
             "refcodec.evaluate.quality",
-            "refcodec.render.rasterise",
+            "refcodec.rendering.rasterise",
         )
     ]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "numba", None)
     assert main(arguments(file, folder)) == 64
     assert "pip install 'refcodec[render]'" in capsys.readouterr().err
-    monkeypatch.setitem(sys.modules, "refcodec.render.view", None)
+    monkeypatch.setitem(sys.modules, "refcodec.rendering.view", None)
     assert main(arguments(file, folder)) == 70

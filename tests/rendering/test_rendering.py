@@ -24,9 +24,9 @@ from refcodec.bitstream.reconstruction import Reconstruction, digest, reconstruc
 from refcodec.bitstream.reconstruction import gaussians as splat_of
 from refcodec.bitstream.scene import Scene
 from refcodec.cli.main import main
-from refcodec.render.camera import Camera, default_camera
-from refcodec.render.gaussians import Gaussians, gaussians, static_gaussians
-from refcodec.render.view import View
+from refcodec.rendering.camera import Camera, default_camera
+from refcodec.rendering.gaussians import Gaussians, gaussians, static_gaussians
+from refcodec.rendering.view import View
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -199,7 +199,7 @@ def cloud(seed: int, count: int, spread: float = 1.0) -> Gaussians:
 
 @pytest.fixture
 def rasterise() -> Any:
-    return pytest.importorskip("refcodec.render.rasterise", reason="images need the packages of the extra render")
+    return pytest.importorskip("refcodec.rendering.rasterise", reason="images need the packages of the extra render")
 
 
 VIEW = Camera("view", 37, 21, 30.0, 28.0, 17.0, 11.5, np.eye(3), np.zeros(3))

@@ -1,4 +1,4 @@
-"""The up direction of a scene (refcodec.render.camera): camera rigs with a known up direction."""
+"""The up direction of a scene (refcodec.rendering.camera): camera rigs with a known up direction."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from refcodec.bitstream.cameras import CAMERAS, cameras, with_cameras
 from refcodec.bitstream.codec import emit, parse
 from refcodec.bitstream.reconstruction import digest
 from refcodec.cli.main import main
-from refcodec.render.camera import (
+from refcodec.rendering.camera import (
     Camera,
     axis_direction,
     default_camera,
@@ -30,7 +30,7 @@ from refcodec.render.camera import (
     up_axis,
     up_direction,
 )
-from refcodec.render.view import View
+from refcodec.rendering.view import View
 
 Rig = tuple[list[Camera], np.ndarray]
 Z = np.array([0.0, 0.0, 1.0])
