@@ -30,14 +30,14 @@ import torch
 from numpy.typing import NDArray
 
 from refcodec.bitstream.codec import parse
-from refcodec.convert.splat_files import read_splats
-from refcodec.convert.splats import drawn, tensors
+from refcodec.convert.drawing import drawn, tensors
 from refcodec.convert.views import AXES, NEAR, NEAR_MAX, TEST, TEST_EVERY, middle_and_radius, orbit
 from refcodec.evaluate.quality import measures
-from refcodec.export.formats import splat_file
-from refcodec.export.splats import Splats
 from refcodec.files.outputs import check_apart
 from refcodec.files.text import printable
+from refcodec.formats.common import Options
+from refcodec.formats.splats import Splats
+from refcodec.formats.table import read_splats, write_splats
 from refcodec.rendering.camera import Camera, axis_direction
 from refcodec.rendering.rasterise import Settings
 from refcodec.rendering.view import View, eight_bits
@@ -72,7 +72,7 @@ class Source:
         return self.file.name.removesuffix(self.file.suffix).removesuffix(".compressed")
 
     @cached_property
-    def arrays(self) -> dict[str, NDArray[np.float32]]:
+    def splats(self) -> Splats:
         """The Gaussians."""
         return read_splats(self.file)
 
@@ -80,22 +80,22 @@ class Source:
     def cameras(self) -> list[Camera]:
         """The test cameras of refcodec convert."""
         tests = max(self.views // TEST_EVERY, 1)
-        return orbit(tensors(self.arrays), AXES[self.up], self.size, self.views, tests)[TEST]
+        return orbit(self.splats, AXES[self.up], self.size, self.views, tests)[TEST]
 
     @cached_property
     def settings(self) -> Settings:
         """The settings of the pictures."""
-        _, radius = middle_and_radius(tensors(self.arrays))
+        _, radius = middle_and_radius(self.splats)
         return Settings(near_plane=min(NEAR * radius, NEAR_MAX))
 
     @cached_property
     def truth(self) -> list[NDArray[np.uint8]]:
         """The test pictures of the file itself."""
-        return [eight_bits(self.image(self.arrays, camera)) for camera in self.cameras]
+        return [eight_bits(self.image(self.splats, camera)) for camera in self.cameras]
 
-    def image(self, arrays: dict[str, NDArray[np.float32]], camera: Camera) -> NDArray[np.float32]:
+    def image(self, splats: Splats, camera: Camera) -> NDArray[np.float32]:
         """Returns a picture of Gaussians by a camera."""
-        found: NDArray[np.float32] = drawn(tensors(arrays), camera, self.settings)[0].numpy()
+        found: NDArray[np.float32] = drawn(tensors(splats), camera, self.settings)[0].numpy()
         return found
 
     def compared(self, image: Callable[[Camera], NDArray[np.float32]]) -> dict[str, float]:
@@ -112,16 +112,16 @@ def packed_record(source: Source, suffix: str, maker: str, folder: Path) -> Reco
 
     def made() -> Record:
         if maker == OWN:
-            data = splat_file(Splats(**source.arrays), suffix, axis_direction(0)).data
+            data = write_splats(source.splats, suffix, Options(axis_direction(0)))
             file.write_bytes(data)
-            arrays = read_splats(file)
+            splats = read_splats(file)
         else:
             again = file.with_name(f"{file.name}.ply")
             convert(source.file, file)
             convert(file, again)
-            arrays = read_splats(again)
+            splats = read_splats(again)
             again.unlink()
-        return {"bytes": file.stat().st_size, **source.compared(lambda camera: source.image(arrays, camera))}
+        return {"bytes": file.stat().st_size, **source.compared(lambda camera: source.image(splats, camera))}
 
     return kept(folder / f"{source.name}-{by}{suffix}-{source.views}-{source.size}px.json", made)
 
@@ -189,7 +189,7 @@ NOTE = (
 
 def _rows(source: Source, packed: dict[tuple[str, str], Record], coded: dict[str, Record]) -> list[list[str]]:
     own = source.file.stat().st_size
-    rows = [[source.file.name, "", f"{own:,}", "1", "", "", f"{len(source.arrays['mean']):,} Gaussians", ""]]
+    rows = [[source.file.name, "", f"{own:,}", "1", "", "", f"{len(source.splats.mean):,} Gaussians", ""]]
 
     def row(label: str, by: str, found: Record, what: str = "", seconds: str = "") -> list[str]:
         share = f"{found['bytes'] / own:.3f}"

@@ -25,6 +25,7 @@ PARTS = {
         "refcodec.inspect",
     ),
     "scenes": (
+        "refcodec.formats",
         "refcodec.rendering",
         "refcodec.export",
         "refcodec.photographs",

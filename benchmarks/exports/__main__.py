@@ -18,10 +18,8 @@ import numpy as np
 from PIL import Image
 
 from refcodec.evaluate.quality import measures
-from refcodec.export.fit import render_settings
-from refcodec.export.formats import FORMATS
-from refcodec.export.splats import draw
 from refcodec.files.text import printable
+from refcodec.rendering.rasterise import draw, settings_of
 from refcodec.rendering.view import eight_bits
 from refcodec.statuses import DONE, USAGE
 
@@ -29,7 +27,7 @@ from ..peers.convert import VERSION, ToolError
 from ..results import machine, table, write_section
 from .browser import drawn
 from .clients import INSTALL, SPARK, THREE, VALIDATOR, difference, issues
-from .making import Record, Source, file_of, held, kept, scene_record, splat_record
+from .making import MEASURED, Record, Source, file_of, held, kept, scene_record, splat_record
 
 DEGREES = range(4)
 # The formats that splat-transform reads.
@@ -48,9 +46,9 @@ def client_record(source: Source, degree: int, folder: Path) -> Record:
 
     def made() -> Record:
         view, cameras = source.view, source.tests[:PICTURES]
-        settings, found = render_settings(view), {}
+        settings, found = settings_of(view.info), {}
         scene = [view.draw(camera) for camera in cameras]
-        for suffix in FORMATS:
+        for suffix in MEASURED:
             file, splats = file_of(source, degree, suffix, folder), held(source, degree, suffix, folder)
             own = [draw(splats, camera, settings).image for camera in cameras]
             shown = drawn(file, cameras, settings)

@@ -15,9 +15,10 @@ from pathlib import Path
 import numpy as np
 
 from refcodec.bitstream.cameras import rotation_matrix
-from refcodec.convert.splat_files import read_splats
-from refcodec.export.splats import Splats, opacities
-from refcodec.export.spz import HARMONIC_SIGNS
+from refcodec.formats.packing import opacities
+from refcodec.formats.splats import Splats
+from refcodec.formats.spz import HARMONIC_SIGNS
+from refcodec.formats.table import read_splats
 
 from ..peers.convert import ROOT, ToolError, convert
 
@@ -67,7 +68,7 @@ def difference(file: Path, held: Splats) -> float:
     with tempfile.TemporaryDirectory() as folder:
         again = Path(folder) / "again.ply"
         convert(file, again)
-        found = Splats(**read_splats(again))
+        found = read_splats(again)
     wanted = as_read(held, file.suffix)
     if found.rest.shape != wanted.rest.shape:
         raise ToolError(f"splat-transform reads {found.rest.shape} harmonics of {file}, not {wanted.rest.shape}")

@@ -18,20 +18,23 @@ from refcodec.bitstream.batches import no_progress
 from refcodec.bitstream.codec import parse
 from refcodec.bitstream.dimensions import STATIC
 from refcodec.bitstream.scene import Scene
-from refcodec.convert.splat_files import read_splats
 from refcodec.evaluate.quality import measures
-from refcodec.export.fit import agreement, fit, render_settings
-from refcodec.export.formats import FORMATS, splat_file
-from refcodec.export.splats import Splats, draw, static_splats
-from refcodec.export.spz import BITS, BITS_MOST
+from refcodec.export.fit import agreement, fit
 from refcodec.export.views import sized
 from refcodec.files.documents import read_json
+from refcodec.formats.common import BITS, BITS_MOST, Options
+from refcodec.formats.splats import Splats
+from refcodec.formats.table import FORMATS, read_splats, write_splats
 from refcodec.photographs.photographs import PhotographSet, read_photographs
 from refcodec.rendering.camera import Camera
+from refcodec.rendering.gaussians import static_splats
+from refcodec.rendering.rasterise import draw, settings_of
 from refcodec.rendering.view import View
 
 # As in refcodec export.
 ITERATIONS = 10
+# The measured formats, by suffix.
+MEASURED = (".ply", ".spz", ".sog", ".glb")
 Record = dict[str, Any]
 
 
@@ -105,15 +108,16 @@ def splat_record(source: Source, degree: int, folder: Path) -> Record:
         began = time.process_time()
         splats = source.own or fit(source.view, source.fitted, degree, ITERATIONS, no_progress).splats
         seconds = time.process_time() - began
-        settings, files = render_settings(source.view), {}
-        for suffix, bits in [(s, bits) for s in FORMATS for bits in ((BITS, BITS_MOST) if s == ".spz" else (BITS,))]:
-            packed = splat_file(splats, suffix, source.view.up, bits)
+        settings, files = settings_of(source.view.info), {}
+        for suffix, bits in [(s, bits) for s in MEASURED for bits in ((BITS, BITS_MOST) if s == ".spz" else (BITS,))]:
+            data = write_splats(splats, suffix, Options(source.view.up, spz_bits=bits))
+            read = FORMATS[suffix].read(data)
             if bits == BITS:
-                file_of(source, degree, suffix, folder).write_bytes(packed.data)
-            shown = [measures(draw(packed.splats, p.camera, settings).image, p.image) for p in source.set.test]
-            near = agreement(source.view, packed.splats, source.tests, no_progress)
+                file_of(source, degree, suffix, folder).write_bytes(data)
+            shown = [measures(draw(read, p.camera, settings).image, p.image) for p in source.set.test]
+            near = agreement(source.view, read, source.tests, no_progress)
             name = f"{suffix}, {bits} bits" if suffix == ".spz" else suffix
-            files[name] = {"bytes": len(packed.data), "near": near, **_means(shown)}
+            files[name] = {"bytes": len(data), "near": near, **_means(shown)}
         return {"gaussians": len(splats.mean), "seconds": seconds, "files": files}
 
     return kept(folder / f"{source.stem}-{degree}.json", made)
@@ -129,12 +133,12 @@ def held(source: Source, degree: int, suffix: str, folder: Path) -> Splats:
 
     Raises ValueError if the file is another one.
     """
-    arrays = read_splats(file_of(source, degree, ".ply", folder))
-    packed = splat_file(Splats(**arrays), suffix, source.view.up)
+    splats = read_splats(file_of(source, degree, ".ply", folder))
+    data = write_splats(splats, suffix, Options(source.view.up))
     file = file_of(source, degree, suffix, folder)
-    if file.read_bytes() != packed.data:
+    if file.read_bytes() != data:
         raise ValueError(f"{file} is not of {source.stem}-{degree}.ply: remove the folder")
-    return packed.splats
+    return FORMATS[suffix].read(data)
 
 
 def kept(file: Path, made: Any) -> Record:

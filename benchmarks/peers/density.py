@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from refcodec.bitstream.cameras import rotation_matrix
-from refcodec.convert.splats import Splats
+from refcodec.convert.drawing import Tensors
 
 from .settings import DensitySettings
 
@@ -70,7 +70,7 @@ class Density:
         self.seen += drawn
 
     @torch.no_grad()
-    def change(self, splats: Splats, large: bool, random: torch.Generator) -> Change:
+    def change(self, splats: Tensors, large: bool, random: torch.Generator) -> Change:
         """Returns the change. large: whether large Gaussians are pruned, too.
 
         If the number already exceeds the limit, after a change of settings, none is cloned or split.
@@ -100,7 +100,7 @@ class Density:
         return chosen
 
     @staticmethod
-    def _drawn_inside(splats: Splats, rows: Tensor, random: torch.Generator) -> Tensor:
+    def _drawn_inside(splats: Tensors, rows: Tensor, random: torch.Generator) -> Tensor:
         """Returns a sample of each Gaussian's distribution relative to its mean, [n, 3]."""
         lengths = splats["scale"][rows].exp()
         along = torch.randn(lengths.shape, generator=random) * lengths

@@ -13,9 +13,8 @@ from pathlib import Path
 
 from refcodec.convert.views import AXES, orbit, write_photographs
 from refcodec.files.text import printable
+from refcodec.formats.table import read_splats
 from refcodec.statuses import DONE, USAGE
-
-from .splats import read_ply
 
 
 def main(words: list[str] | None = None) -> int:
@@ -35,7 +34,7 @@ def main(words: list[str] | None = None) -> int:
     try:
         if min(arguments.views, arguments.tests, arguments.size) < 1:
             raise ValueError("views, tests and size must be at least 1")
-        splats = read_ply(arguments.splat)
+        splats = read_splats(arguments.splat)
         views = orbit(splats, AXES[arguments.up], arguments.size, arguments.views, arguments.tests)
         write_photographs(splats, views, arguments.output, lambda stage, done, total: None, points=False)
     except (ValueError, OSError) as error:

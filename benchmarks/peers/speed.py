@@ -32,12 +32,11 @@ from refcodec.bitstream.dimensions import RENDER_MODELS, RENDERING, STATIC
 from refcodec.bitstream.reconstruction import gaussians, reconstruct
 from refcodec.bitstream.scene import Scene
 from refcodec.bitstream.tables import tables
-from refcodec.convert.splat_files import read_splats
-from refcodec.export.fit import fit, render_settings
-from refcodec.export.ply import ply_bytes
-from refcodec.export.splats import Splats, draw
-from refcodec.export.spz import spz_file
+from refcodec.export.fit import fit
 from refcodec.export.views import views_of
+from refcodec.formats.splats import Splats, rows_of
+from refcodec.formats.table import FORMATS, read_splats, write_splats
+from refcodec.rendering.rasterise import draw, settings_of
 from refcodec.rendering.view import View, stated_cameras
 
 from ..contenders import NATIVE, ONE_THREAD
@@ -78,7 +77,7 @@ def exported(trained: bytes) -> tuple[Splats, Callable[[Splats], float]]:
     """
     scene = parse(trained).scene
     view = View(scene)
-    views, settings = views_of(view, stated_cameras(scene)), render_settings(view)
+    views, settings = views_of(view, stated_cameras(scene)), settings_of(view.info)
     splats = fit(view, views.fit, DEGREE, 1, no_progress).splats
 
     def pictures(shown: Splats) -> list[Any]:
@@ -99,7 +98,7 @@ def repeated(splats: Splats, count: int) -> Splats:
     own = len(splats.mean)
     copies = -(-count // own)
     rows = np.concatenate([random.permutation(own) for _ in range(copies)])[:count]
-    found = Splats(**{name: values[rows] for name, values in vars(splats).items()})
+    found = rows_of(splats, rows)
     places = random.normal(0, 20 * splats.mean.std(axis=0), (copies, 3)).repeat(own, axis=0)[:count]
     return replace(found, mean=(found.mean + places).astype(np.float32))
 
@@ -155,8 +154,8 @@ def section(sources: dict[str, Path], anchors: int, rounds: int) -> list[str]:
     whole = parse(scene.read_bytes()).scene
     count = int(whole.masks.sum())
     splats, psnr = exported(TRAINED.read_bytes())
-    own = spz_file(splats)
-    single = [_single("SPZ, `refcodec export`", len(own.data), len(splats.mean), psnr(own.splats))]
+    own = write_splats(splats, ".spz")
+    single = [_single("SPZ, `refcodec export`", len(own), len(splats.mean), psnr(FORMATS[".spz"].read(own)))]
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         static = folder / "static.c3gs"
@@ -164,8 +163,8 @@ def section(sources: dict[str, Path], anchors: int, rounds: int) -> list[str]:
         files = {OWN: scene, OWN_STATIC: static}
         calls: dict[str, Any] = {OWN: lambda: _own(scene), OWN_STATIC: lambda: _own(static)}
         one, many, read = (folder / f"{size}.ply" for size in ("one", "many", "read"))
-        one.write_bytes(ply_bytes(splats))
-        many.write_bytes(ply_bytes(repeated(splats, count)))
+        one.write_bytes(write_splats(splats, ".ply"))
+        many.write_bytes(write_splats(repeated(splats, count), ".ply"))
         for library, source in sources.items():
             program, title = built(library, source, folder), NAMES[library]
             files[title] = folder / f"many.{library}"
@@ -174,7 +173,7 @@ def section(sources: dict[str, Path], anchors: int, rounds: int) -> list[str]:
             coded = folder / f"one.{library}"
             _ran([program, one, coded])
             _ran([program, coded, read])
-            found = psnr(Splats(**read_splats(read)))
+            found = psnr(read_splats(read))
             single.append(_single(title, coded.stat().st_size, len(splats.mean), found))
         runs: dict[str, list[dict[str, float]]] = {title: [] for title in calls}
         for _ in tqdm(range(rounds), leave=False):

@@ -7,19 +7,19 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from refcodec.convert.splat_files import read_splats
-from refcodec.convert.splats import Splats, drawn, tensors
+from refcodec.convert.drawing import Tensors, drawn, tensors
 from refcodec.evaluate.quality import measures
-from refcodec.export.ply import ply_bytes
-from refcodec.export.splats import Splats as Exported
+from refcodec.formats.splats import Splats
+from refcodec.formats.table import read_splats, write_splats
 from refcodec.photographs.photographs import Photograph
 from refcodec.rendering.rasterise import Settings
 
 
-def write_ply(splats: Splats, path: Path) -> None:
-    """Writes a file in the format of 3DGS's own code (refcodec.export.ply)."""
+def write_ply(splats: Tensors, path: Path) -> None:
+    """Writes a file in the format of 3DGS's own code (refcodec.formats.ply)."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(ply_bytes(Exported(**{name: values.detach().numpy() for name, values in splats.items()})))
+    arrays = Splats(**{name: values.detach().numpy() for name, values in splats.items()})
+    path.write_bytes(write_splats(arrays, ".ply"))
 
 
 def read_ply(path: Path) -> dict[str, Tensor]:
@@ -28,7 +28,7 @@ def read_ply(path: Path) -> dict[str, Tensor]:
 
 
 @torch.no_grad()
-def quality(splats: Splats, photographs: tuple[Photograph, ...], settings: Settings) -> dict[str, float]:
+def quality(splats: Tensors, photographs: tuple[Photograph, ...], settings: Settings) -> dict[str, float]:
     """Returns the mean of refcodec.evaluate.quality.measures over photographs."""
     rows = [measures(drawn(splats, p.camera, settings)[0].numpy(), p.image) for p in photographs]
     return {name: sum(row[name] for row in rows) / len(rows) for name in rows[0]}

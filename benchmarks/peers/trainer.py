@@ -13,10 +13,10 @@ import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from refcodec.convert.splats import drawn
+from refcodec.convert.drawing import drawn
 from refcodec.files.interrupts import on_interrupt
+from refcodec.formats.harmonics import REST, ZERO
 from refcodec.photographs.photographs import PhotographSet
-from refcodec.rendering.harmonics import REST, ZERO
 from refcodec.rendering.rasterise import Settings
 from refcodec.train.adam import ADAM_EPSILON
 from refcodec.train.losses import photometric

@@ -9,7 +9,7 @@ render  renders the image of a camera
 
 from ..bitstream.bounds import BoundPassedError
 from ..bitstream.errors import BitstreamError
-from ..export.splats import Splats
+from ..formats.splats import Splats
 from ..rendering.camera import Camera
 from .opening import File, decode, gaussians, open
 from .scenes import Scene, encode, render

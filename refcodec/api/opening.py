@@ -25,8 +25,8 @@ from ..bitstream.reader import Reader
 from ..bitstream.scene import Ancillary
 from ..bitstream.source import FileBytes, Readable, SeekableFile, Source, StoredFile, WholeFile
 from ..bitstream.streaming import DecodedChunk, decoded_chunks, stated_bytes
-from ..export.splats import Splats
 from ..files.remote import MEMORY_MAX, RemoteFile, is_url
+from ..formats.splats import Splats
 from ..inspect.elements import outline_of
 from ..inspect.parts import SPAN_BYTES, part_bytes
 from ..rendering.camera import Camera

@@ -25,11 +25,11 @@ from ..bitstream.reconstruction import Reconstruction, digest, reconstruct
 from ..bitstream.scene import Scene as CodedScene
 from ..bitstream.scene import take_anchors
 from ..export import DEGREE, ITERATIONS
-from ..export.splats import Splats, static_splats
+from ..formats.splats import Splats
 from ..inspect.elements import outline_of
 from ..inspect.parts import part_bytes
 from ..rendering.camera import Camera, check_camera, default_camera, scene_up
-from ..rendering.gaussians import Gaussians, check_render_model, gaussians_of
+from ..rendering.gaussians import Gaussians, check_render_model, gaussians_of, static_splats
 from . import page
 
 if TYPE_CHECKING:
@@ -180,8 +180,8 @@ class Scene:
         views, once for all outputs. The fit and `.sog` need the extra `render`.
 
         Args:
-            outputs: paths, whose suffixes select the formats: .ply, .spz, .sog or .glb. They are replaced together,
-                when all are complete.
+            outputs: paths, whose suffixes select the formats: .ply, .spz, .sog, .glb or .compressed.ply. They are
+                replaced together, when all are complete.
             degree: of the harmonics, 0 to 3, or None for 3. For a fit only.
             iterations: the least-squares steps on the images, or None for 10. For a fit only.
             cameras: the views of the fit, or None for the cameras of the file, and views around the scene if it has
@@ -194,25 +194,25 @@ class Scene:
             ModuleNotFoundError: a package of the extra is missing.
             OSError: an output cannot be written.
         """
-        from ..export.formats import FORMATS, splat_files
-        from ..export.spz import BITS, BITS_LEAST, BITS_MOST
         from ..files.stage import Stage
+        from ..formats.common import BITS, BITS_LEAST, BITS_MOST, Options
+        from ..formats.table import FORMATS, suffix_of, write_splats
 
-        suffixes = [Path(output).suffix.lower() for output in outputs]
+        suffixes = [suffix_of(output) or "" for output in map(Path, outputs)]
         for output, suffix in zip(outputs, suffixes, strict=True):
-            if suffix not in FORMATS:
+            if not suffix:
                 raise ValueError(f"{os.fspath(output)} has an unknown suffix; allowed are {', '.join(FORMATS)}")
         spz_bits = BITS if spz_bits is None else spz_bits
         if not BITS_LEAST <= spz_bits <= BITS_MOST:
             raise ValueError(f"spz_bits is {spz_bits}, but must be from {BITS_LEAST} to {BITS_MOST}")
         splats = self._fitted(degree, iterations, cameras)
         try:
-            files = splat_files(splats, suffixes, self.up, self.coded.render, spz_bits)
+            files = [write_splats(splats, suffix, Options(self.up, self.coded.render, spz_bits)) for suffix in suffixes]
         except ModuleNotFoundError as error:
             raise _with_extra(error) from None
         with Stage() as stage:
             for output, file in zip(outputs, files, strict=True):
-                stage.write(Path(output), file.data)
+                stage.write(Path(output), file)
         return splats
 
     def _fitted(self, degree: int | None, iterations: int | None, cameras: Sequence[Camera] | None) -> Splats:

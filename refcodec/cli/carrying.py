@@ -38,14 +38,13 @@ def export_carried(arguments: argparse.Namespace) -> int:
         raise UsageError(f"{reason}, so the output must be one {suffix} file")
     output = outputs[0]
     from ..bitstream.header import SIGNATURE
-    from ..convert.glb import c3gs_of_glb
-    from ..export.glb import GLB
+    from ..formats.table import FORMATS, carried_scene
 
-    check_file(output, Kind.signed("a C3GS file", SIGNATURE) if inside else GLB)
+    check_file(output, Kind.signed("a C3GS file", SIGNATURE) if inside else FORMATS[GLB_SUFFIX].kind)
     check_apart([output], [arguments.file])
     if not inside:
         return _put(arguments, output)
-    data = c3gs_of_glb(Path(arguments.file))
+    data = carried_scene(Path(arguments.file))
     if not data.startswith(SIGNATURE):
         raise UsageError(f"the scene in {arguments.file} is not a C3GS file")
     write_file(output, data)
@@ -57,10 +56,9 @@ def _put(arguments: argparse.Namespace, output: Path) -> int:
     """Writes a GLB file with the scene of the command's file."""
     from ..bitstream.cameras import cameras
     from ..bitstream.codec import parse_container
-    from ..export.glb import check_colours, glb_bytes
-    from ..export.splats import static_splats
+    from ..formats.glb import check_colours, glb_bytes
     from ..rendering.camera import scene_up
-    from ..rendering.gaussians import check_static
+    from ..rendering.gaussians import check_static, static_splats
 
     data = read_bounded(arguments)
     check_static(parse_container(data).render)

@@ -37,13 +37,13 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from ..bitstream.scene import Scene
-    from ..convert.splats import Splats
+    from ..formats.splats import Splats
     from ..rendering.camera import Camera
     from ..train.settings import TrainSettings
 
 # The packages of convert beyond those of the decoder.
 _PACKAGES = ("torch", "numba", "scipy", "PIL", "skimage")
-# Splat files (refcodec.convert.splat_files), and the file of a SOG folder. Any other source is a model folder.
+# Splat files (refcodec.formats.table), and the file of a SOG folder. Any other source is a model folder.
 _SPLATS, _SOG = (".ply", ".spz", ".sog", ".glb"), "meta.json"
 _VIEWS = 200
 # Options of a training that --fast does not have.
@@ -143,10 +143,9 @@ def _convert_fast(arguments: argparse.Namespace, source: Path) -> int:
     from ..bitstream.codec import emit
     from ..bitstream.header import SIGNATURE, RenderInfo
     from ..convert import fast, views
-    from ..convert.splat_files import read_splats, splats_up
-    from ..convert.splats import tensors
     from ..files.outputs import Kind, check_apart, check_file
     from ..files.stage import write_file
+    from ..formats.table import read_splats, splats_up
     from ..rendering.camera import STATED, nearest_axis
 
     for name in _TRAINED:
@@ -156,22 +155,22 @@ def _convert_fast(arguments: argparse.Namespace, source: Path) -> int:
     check_file(output, Kind.signed("a C3GS file", SIGNATURE))
     check_apart([output], [source])
     cameras = _cameras_of(source, arguments.cameras)
-    arrays = read_splats(source)
+    splats = read_splats(source)
     note_compiling()
     up = views.AXES[arguments.up] if arguments.up else splats_up(source)
-    chosen = _chosen(arguments, cameras, tensors(arrays), up, arguments.size or str(fast.SIDE), fast.VIEWS)
-    render = RenderInfo(up_axis=nearest_axis(up), near_plane=views.near_plane(tensors(arrays)))
+    chosen = _chosen(arguments, cameras, splats, up, arguments.size or str(fast.SIDE), fast.VIEWS)
+    render = RenderInfo(up_axis=nearest_axis(up), near_plane=views.near_plane(splats))
     psnr = fast.PSNR if arguments.psnr is None else arguments.psnr
     with progress_bar(arguments.progress) as progress:
         try:
             found = fast.converted(
-                arrays, chosen, render, STATED if cameras else 1, psnr, arguments.steps or fast.STEPS, progress
+                splats, chosen, render, STATED if cameras else 1, psnr, arguments.steps or fast.STEPS, progress
             )
             data = emit(found.scene, progress=progress)
         except ValueError as error:
             raise UsageError(f"{source} cannot be converted: {error}") from None
     write_file(output, data)
-    count = f"{found.scene.anchor_count:,} of {len(arrays['mean']):,} Gaussians"
+    count = f"{found.scene.anchor_count:,} of {len(splats.mean):,} Gaussians"
     say(f"{output}: {len(data):,} bytes, {count}, {found.psnr:.1f} dB to {source}")
     if abs(found.psnr - psnr) > 1:
         note(f"refcodec: {psnr:g} dB were not reached: the file has the nearest quality that was found")
@@ -291,15 +290,14 @@ def _draw(
 ) -> None:
     """Writes the pictures of a splat file to a folder. Raises UsageError and SceneFolderError."""
     from ..convert import views
-    from ..convert.splat_files import read_splats, splats_up
-    from ..convert.splats import tensors
+    from ..formats.table import read_splats, splats_up
     from ..photographs.images import parse_background
 
     try:
         background = parse_background(settings.background)
     except ValueError as error:
         raise UsageError(str(error)) from None
-    splats = tensors(read_splats(source))
+    splats = read_splats(source)
     up = views.AXES[arguments.up] if arguments.up else splats_up(source)
     chosen = _chosen(arguments, cameras, splats, up, settings.size, _VIEWS)
     with progress_bar(arguments.progress) as progress:

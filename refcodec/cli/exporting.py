@@ -37,9 +37,9 @@ if TYPE_CHECKING:
     from ..bitstream.cameras import NamedCamera
     from ..bitstream.header import RenderInfo
     from ..bitstream.scene import Scene
-    from ..export.splats import Packed, Splats
     from ..export.views import Views
     from ..folder.uncompressed import Uncompressed
+    from ..formats.splats import Splats
     from ..rendering.view import View
 
 NOTES = """\
@@ -49,6 +49,7 @@ FILE is a file or a scene folder. The suffix of OUTPUT selects the format:
   .spz  Niantic's format: fixed point, compressed with gzip
   .sog  PlayCanvas's format: images in an archive
   .glb  glTF 2.0 with KHR_gaussian_splatting. The scene stands upright.
+  .compressed.ply  PlayCanvas's format: numbers of 8 to 11 bits in the ranges of 256 Gaussians
   .html a page that draws FILE itself in any browser. It contains FILE and makes no requests.
 
 --photographs adds photographs to a page for comparison. The rest of this text is about splats.
@@ -141,13 +142,14 @@ def _splat_outputs(names: list[str], file: str, *others: str) -> list[Path]:
 
     Raises UsageError if a file has an unknown suffix, or is not free.
     """
-    from ..export.formats import FORMATS
+    from ..formats.table import FORMATS, suffix_of
 
     outputs = [Path(name) for name in names]
     for output in outputs:
-        if output.suffix.lower() not in FORMATS:
+        suffix = suffix_of(output)
+        if suffix is None:
             raise UsageError(f"{output} has an unknown suffix; allowed are {', '.join([*FORMATS, *others])}")
-        check_file(output, FORMATS[output.suffix.lower()])
+        check_file(output, FORMATS[suffix].kind)
     check_apart(outputs, [file])
     return outputs
 
@@ -158,33 +160,38 @@ def _write_static(
     """Writes the Gaussians of a static scene. shown: as read_shown returns it."""
     from ..bitstream.cameras import cameras
     from ..bitstream.scene import Scene
-    from ..export.splats import static_splats
     from ..rendering.camera import scene_up
+    from ..rendering.gaussians import static_splats
 
     if not isinstance(scene, Scene):
         raise UsageError(f"{arguments.file} is the folder of an uncompressed static scene: encode it first")
     splats = static_splats(scene)
     up = scene_up(scene.render.up_axis, cameras(scene.ancillary))
-    packed = _packed(arguments, outputs, splats, up, scene.render)
-    for output, each in zip(outputs, packed, strict=True):
-        write_file(output, each.data)
+    files = _files(arguments, outputs, splats, up, scene.render)
+    for output, each in zip(outputs, files, strict=True):
+        write_file(output, each)
         said = f"{output}: {counted(len(splats.mean), 'Gaussian')}, degree {splats.degree}, "
         say(said + _size(arguments, output, splats, each, shown), lines=True)
     return 0
 
 
-def _packed(
+def _files(
     arguments: argparse.Namespace, outputs: list[Path], splats: Splats, up: NDArray[np.float64], render: RenderInfo
-) -> list[Packed]:
+) -> list[bytes]:
     """Returns the files of Gaussians. Raises UsageError if a format cannot hold them or needs a missing package."""
-    from ..export.formats import splat_files
+    from ..formats.common import Options
+    from ..formats.table import FORMATS, suffix_of, write_splats
 
+    options, suffix, files = Options(up, render, _spz_bits(arguments)), "", []
     try:
-        return splat_files(splats, [output.suffix.lower() for output in outputs], up, render, _spz_bits(arguments))
+        for output in outputs:
+            suffix = suffix_of(output) or ""
+            files.append(write_splats(splats, suffix, options))
     except ModuleNotFoundError as error:
-        raise needs("a .sog file", "render", error, RENDER_PACKAGES) from None
+        raise needs(f"a {suffix} file", FORMATS[suffix].extra or "render", error, RENDER_PACKAGES) from None
     except ValueError as error:
         raise UsageError(f"{arguments.file} cannot be exported: {error}") from None
+    return files
 
 
 def _is_spz(output: Path) -> bool:
@@ -193,25 +200,26 @@ def _is_spz(output: Path) -> bool:
 
 def _spz_bits(arguments: argparse.Namespace) -> int:
     """Returns the bits of harmonics in .spz. decode has no option for them."""
-    from ..export.spz import BITS
+    from ..formats.common import BITS
 
     return getattr(arguments, "spz_bits", None) or BITS
 
 
 def _size(
-    arguments: argparse.Namespace, output: Path, splats: Splats, packed: Packed, shown: bytes | Scene | Uncompressed
+    arguments: argparse.Namespace, output: Path, splats: Splats, file: bytes, shown: bytes | Scene | Uncompressed
 ) -> str:
     """Returns the text about the size of a written file; for .spz also the size with other bits of harmonics."""
-    from ..export.spz import BITS, BITS_MOST, spz_file
+    from ..formats.common import BITS, BITS_MOST, Options
+    from ..formats.table import write_splats
 
-    size = f"{len(packed.data):,} bytes"
+    size = f"{len(file):,} bytes"
     if isinstance(shown, bytes):
         size += f", {arguments.file} has {len(shown):,}"
     if not _is_spz(output) or not splats.degree:
         return size
     bits = _spz_bits(arguments)
     other = BITS if bits == BITS_MOST else BITS_MOST
-    with_other = len(spz_file(splats, other).data)
+    with_other = len(write_splats(splats, ".spz", Options(spz_bits=other)))
     return f"{size}\nits harmonics have {bits} bits; with {other} (export --spz-bits) it has {with_other:,} bytes"
 
 
@@ -253,22 +261,25 @@ def _export_fitted(arguments: argparse.Namespace, outputs: list[Path], shown: by
         from ..rendering.view import View, stated_cameras
     except ModuleNotFoundError as error:
         raise needs("export", "render", error, RENDER_PACKAGES) from None
+    from ..formats.table import FORMATS, suffix_of
+
     degree = DEGREE if arguments.degree is None else arguments.degree
     iterations = ITERATIONS if arguments.iterations is None else arguments.iterations
     note_compiling()
     scene = parse_file(arguments, shown).scene if isinstance(shown, bytes) else shown
     view = View(scene)
-    views, read = _views(arguments, shown, view, stated_cameras(scene))
-    check_apart(outputs, read)
+    views, places = _views(arguments, shown, view, stated_cameras(scene))
+    check_apart(outputs, places)
     try:
         with progress_bar(arguments.progress) as progress:
             fitted = fit(view, views.fit, degree, iterations, progress)
-            packed = _packed(arguments, outputs, fitted.splats, view.up, scene.render)
-            near = [agreement(view, each.splats, views.test, progress) for each in packed]
+            files = _files(arguments, outputs, fitted.splats, view.up, scene.render)
+            read = [FORMATS[suffix_of(output) or ""].read(file) for output, file in zip(outputs, files, strict=True)]
+            near = [agreement(view, each, views.test, progress) for each in read]
     except ValueError as error:
         raise UsageError(f"{arguments.file} cannot be exported: {error}") from None
-    for output, each, decibels in zip(outputs, packed, near, strict=True):
-        write_file(output, each.data)
+    for output, each, decibels in zip(outputs, files, near, strict=True):
+        write_file(output, each)
         size = _size(arguments, output, fitted.splats, each, shown)
         say(
             f"{output}: {len(fitted.splats.mean):,} of {fitted.of:,} Gaussians, degree {degree}, {size}\n"

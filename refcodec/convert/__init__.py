@@ -1,1 +1,1 @@
-"""Models and splats of other programs, converted: checkpoints of the Scaffold-GS family, files of plain 3DGS."""
+"""Models and splats of other programs, converted: checkpoints of the Scaffold-GS family, plain 3D Gaussians."""

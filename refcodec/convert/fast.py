@@ -24,15 +24,16 @@ from ..bitstream.splat import OUTPUT_BITS
 from ..encoder.cloud import AnchorCloud
 from ..encoder.positions import choose_grid
 from ..encoder.quantise import packed
+from ..formats.splats import Splats, rows_of
 from ..rendering.camera import Camera, spread_cameras
 from ..rendering.constants import ALPHA_MIN
-from ..rendering.rasterise import Settings
+from ..rendering.rasterise import Settings, settings_of
 from ..train.fit import fit
 from ..train.fit_input import Given
 from ..train.settings import EntropySettings, FitSettings
-from .importance import COLOUR, LENGTHS, LOGIT, TURN, importance, numbers, splats_of
+from .drawing import drawn
+from .importance import COLOUR, LENGTHS, LOGIT, TURN, importance, numbers, tensors_of
 from .linear import FAR, hidden_units, network
-from .splats import drawn
 from .views import TEST, TRAIN
 
 F32 = NDArray[np.float32]
@@ -119,25 +120,22 @@ class Fast:
     whole: bool
 
 
-def measured(arrays: Mapping[str, F32], cameras: Sequence[Camera], settings: Settings, progress: Progress) -> Measured:
-    """Returns the Gaussians that can be seen at all, measured in the pictures of some cameras.
-
-    arrays: as splat_files.read_splats returns them.
-    """
-    seen = 1 / (1 + np.exp(-arrays["opacity"].astype(np.float64))) >= ALPHA_MIN
+def measured(splats: Splats, cameras: Sequence[Camera], settings: Settings, progress: Progress) -> Measured:
+    """Returns the Gaussians that can be seen at all, measured in the pictures of some cameras."""
+    seen = 1 / (1 + np.exp(-splats.opacity.astype(np.float64))) >= ALPHA_MIN
     seen |= ~seen.any()
-    chosen = {name: values[seen] for name, values in arrays.items()}
+    chosen = rows_of(splats, seen)
     table = numbers(chosen)
     column = LOGIT.start
     table[:, column] = np.minimum(table[:, column], LOGIT_MAX)
     limited = table.copy()
     limited[:, column] = np.minimum(table[:, column], LOGIT_MEASURED)
-    by_mean, by_number = importance(chosen["mean"], limited, cameras, settings, progress)
+    by_mean, by_number = importance(chosen.mean, limited, cameras, settings, progress)
     opacity, own = (1 / (1 + np.exp(-values[:, column])) for values in (limited, table))
     # A pixel is linear in an opacity.
     absence = by_number[:, column] / (1 - opacity) ** 2
     by_number[:, column] *= (own * (1 - own) / (opacity * (1 - opacity))) ** 2
-    return Measured(chosen["mean"], table, by_mean, by_number, absence)
+    return Measured(chosen.mean, table, by_mean, by_number, absence)
 
 
 # --- symbols ----------------------------------------------------------------------------------------------------------
@@ -148,21 +146,21 @@ def _classes(weights: Mapping[str, F64], most: int) -> I64:
     shares = [np.log2(np.maximum(w / (w.mean() or 1.0), 1e-6)) for name, w in weights.items() if name != "logit"]
     place = np.mean(shares, axis=0)
     centres = np.quantile(place, (np.arange(most, 0, -1) - 0.5) / most)
-    found = np.zeros(len(place), np.int64)
+    nearest = np.zeros(len(place), np.int64)
     for _ in range(20):
-        found = np.abs(place[:, None] - centres).argmin(axis=1)
-        centres = np.array([place[found == k].mean() if (found == k).any() else c for k, c in enumerate(centres)])
+        nearest = np.abs(place[:, None] - centres).argmin(axis=1)
+        centres = np.array([place[nearest == k].mean() if (nearest == k).any() else c for k, c in enumerate(centres)])
     # Without the empty ones.
-    return np.unique(found, return_inverse=True)[1].reshape(-1)
+    return np.unique(nearest, return_inverse=True)[1].reshape(-1)
 
 
-def _step(rate: float, weight: F64 | float) -> F64:
-    """Returns the step whose squared error, step^2 / 12 weight, has the slope -rate against its bits."""
-    found: F64 = np.sqrt(6 * rate / math.log(2) / np.maximum(weight, TINY))
-    return found
+def _step(error_per_bit: float, weight: F64 | float) -> F64:
+    """Returns the step whose squared error, step^2 / 12 weight, has the slope -error_per_bit against its bits."""
+    step: F64 = np.sqrt(6 * error_per_bit / math.log(2) / np.maximum(weight, TINY))
+    return step
 
 
-def _lattice(given: Measured, rate: float) -> tuple[PositionGrid, F32]:
+def _lattice(given: Measured, error_per_bit: float) -> tuple[PositionGrid, F32]:
     """Returns the grid of positions, and the positions on its lattice, float32 [n, 3].
 
     No two positions are equal, as far as possible: a chunk of equal ones cannot be packed (SPEC 6.11).
@@ -174,7 +172,7 @@ def _lattice(given: Measured, rate: float) -> tuple[PositionGrid, F32]:
     reach = float(np.abs(mean - (core.min(axis=0) + core.max(axis=0)) / 2).max())
     # All cells are within the tree. Multiples of a mantissa of VOXEL_BITS bits are exact in float32.
     least = max(reach / (0.4 * 2**CELL_LEVELS), float(np.abs(mean).max()) * 2.0 ** (VOXEL_BITS - 24)) or 1.0
-    voxel = min(max(float(POSITION * _step(rate, given.by_mean.mean())), least), max(reach, least))
+    voxel = min(max(float(POSITION * _step(error_per_bit, given.by_mean.mean())), least), max(reach, least))
     # A finer lattice does not separate equal means.
     crowded = CROWDED + 1 - len(np.unique(mean, axis=0)) / len(mean)
     # The most important ones choose first.
@@ -217,12 +215,12 @@ def _late(cell: I64) -> NDArray[np.bool_]:
     return late
 
 
-def coded(given: Measured, rate: float) -> Coded:
-    """Returns the symbols at a rate: the mean squared error of a picture that a bit is worth.
+def coded(given: Measured, error_per_bit: float) -> Coded:
+    """Returns the symbols for a slope of distortion and rate: the mean squared error of a picture that a bit is worth.
 
     Raises ValueError for numbers that no network of SPEC 7.2 decodes.
     """
-    kept = given.absence >= BITS * rate
+    kept = given.absence >= BITS * error_per_bit
     given = given.of(kept | ~kept.any())
     table, (n, numbers_count) = given.table, given.table.shape
     weights = {name: given.by_number[:, columns].mean(axis=1) + TINY for name, columns in KINDS.items()}
@@ -235,7 +233,7 @@ def coded(given: Measured, rate: float) -> Coded:
     for name, columns in KINDS.items():
         weight = weights[name]
         each = np.array([weight[chosen == k].mean() for k in range(classes)])
-        steps[:, columns] = np.minimum(_step(rate, each), STEP_MAX[name])[:, None]
+        steps[:, columns] = np.minimum(_step(error_per_bit, each), STEP_MAX[name])[:, None]
         middle[columns] = weight @ table[:, columns] / weight.sum()
     centred = table[:, COLOUR] - middle[COLOUR]
     _, vectors = np.linalg.eigh((centred * weights["colour"][:, None]).T @ centred / weights["colour"].sum())
@@ -262,7 +260,7 @@ def coded(given: Measured, rate: float) -> Coded:
             decoded[mine] = maps.numbers(symbols, k)
             features[np.ix_(chosen == k, wide + 1)] = symbols
         networks[name] = _with_w(layers) if name == "covariance" else layers
-    grid, positions = _lattice(given, rate)
+    grid, positions = _lattice(given, error_per_bit)
     return Coded(positions, grid, features, networks, decoded)
 
 
@@ -287,37 +285,37 @@ class Judge:
         self.truth = self._drawn(given.mean, given.table)
 
     def _drawn(self, mean: F32, table: F64) -> list[F64]:
-        splats = splats_of(torch.from_numpy(mean), torch.from_numpy(table.astype(np.float32)))
+        splats = tensors_of(torch.from_numpy(mean), torch.from_numpy(table.astype(np.float32)))
         with torch.no_grad():
             images = [drawn(splats, camera, self.settings)[0] for camera in self.cameras]
         return [image.clamp(0, 1).double().numpy() for image in images]
 
-    def psnr(self, found: Coded) -> float:
+    def psnr(self, coded: Coded) -> float:
         """Returns the mean PSNR of the pictures of decoded Gaussians, in dB, at most 100."""
-        pairs = zip(self._drawn(found.positions, found.table), self.truth, strict=True)
+        pairs = zip(self._drawn(coded.positions, coded.table), self.truth, strict=True)
         return float(np.mean([-10 * np.log10(max(np.square(a - b).mean(), 1e-10)) for a, b in pairs]))
 
 
 def search(given: Measured, psnr: float, judge: Judge, progress: Progress) -> tuple[Coded, float]:
     """Returns the symbols whose pictures have a PSNR, in dB, as nearly as a few tries find them; and their PSNR."""
     # The squared error of each number is that of its step.
-    rate = 10 ** (-psnr / 10) * 2 * math.log(2) / given.table.size
+    error_per_bit = 10 ** (-psnr / 10) * 2 * math.log(2) / given.table.size
     tries: list[tuple[float, float]] = []
     best: tuple[Coded, float] | None = None
     for number in range(TRIES):
-        found = coded(given, rate)
-        reached = judge.psnr(found)
+        tried = coded(given, error_per_bit)
+        reached = judge.psnr(tried)
         progress("search", number + 1, TRIES)
         if best is None or abs(reached - psnr) < abs(best[1] - psnr):
-            best = found, reached
+            best = tried, reached
         if abs(reached - psnr) <= TOLERANCE:
             break
-        tries.append((math.log10(rate), reached))
+        tries.append((math.log10(error_per_bit), reached))
         slope = SLOPE
         if len(tries) > 1:
             (a, p), (b, q) = tries[-2:]
             slope = min(max((p - q) / ((b - a) or 1.0), SLOPE / 3), SLOPE * 3)
-        rate *= 10 ** min(max((reached - psnr) / slope, -1.5), 1.5)
+        error_per_bit *= 10 ** min(max((reached - psnr) / slope, -1.5), 1.5)
     assert best is not None
     return best
 
@@ -326,7 +324,7 @@ def search(given: Measured, psnr: float, judge: Judge, progress: Progress) -> tu
 
 
 def converted(
-    arrays: Mapping[str, F32],
+    splats: Splats,
     cameras: Mapping[str, Sequence[Camera]],
     render: RenderInfo,
     stated: int,
@@ -336,21 +334,20 @@ def converted(
 ) -> Fast:
     """Returns a static scene of Gaussians, whose pictures have nearly a PSNR, in dB, to theirs.
 
-    arrays: as splat_files.read_splats returns them. cameras: those that measure, and those that judge (views.py).
-    stated: how many of them the scene states. steps: of the training of the entropy model, which an interrupt ends
-    early. Raises ValueError for Gaussians that cannot be coded.
+    cameras: those that measure, and those that judge (views.py). stated: how many of them the scene states. steps: of
+    the training of the entropy model, which an interrupt ends early. Raises ValueError for Gaussians that cannot be
+    coded.
     """
     show = progress or (lambda stage, done, total: None)
-    red, green, blue = (value / 255 for value in render.background)
-    settings = Settings(render.low_pass, render.near_plane, render.alpha_max, (red, green, blue))
-    given = measured(arrays, cameras[TRAIN], settings, show)
+    settings = settings_of(render)
+    given = measured(splats, cameras[TRAIN], settings, show)
     judges = cameras[TEST] or cameras[TRAIN]
     rows = np.unique(np.linspace(0, len(judges) - 1, JUDGES).round().astype(int))
-    found, reached = search(given, psnr, Judge(given, [judges[i] for i in rows], settings), show)
-    n, count = found.features.shape
+    symbols, reached = search(given, psnr, Judge(given, [judges[i] for i in rows], settings), show)
+    n, count = symbols.features.shape
     cloud = AnchorCloud(
-        found.positions,
-        found.features.astype(np.float32),
+        symbols.positions,
+        symbols.features.astype(np.float32),
         np.zeros((n, SCALINGS), np.float32),
         np.zeros((n, 1, 3), np.float32),
         np.ones((n, 1), bool),
@@ -358,8 +355,8 @@ def converted(
     result = fit(
         Given(
             cloud,
-            grid=found.grid,
-            networks=found.networks,
+            grid=symbols.grid,
+            networks=symbols.networks,
             render=replace(render, render_model=STATIC),
             cameras=tuple(spread_cameras(cameras[TRAIN], stated)),
             # Features, and the other attributes, which are 0.
@@ -378,12 +375,8 @@ def converted(
 
 def _slices(count: int) -> tuple[int, ...]:
     """Returns the slices of the features: those of colours are longer and longer, as these matter less and less."""
-    found, left = [*SLICES], count - sum(SLICES)
-    for width in COLOURS:
-        if left > 0:
-            found.append(min(width, left))
-            left -= width
-    return tuple(found)
+    ends = np.cumsum([0, *SLICES, *COLOURS]).clip(max=count)
+    return tuple(width for width in np.diff(ends).tolist() if width)
 
 
 def _packed(scene: Scene) -> Scene:

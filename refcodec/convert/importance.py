@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from ..formats.splats import Splats
 from ..rendering.camera import Camera
 from ..rendering.rasterise import Settings
-from .splats import drawn
+from .drawing import drawn
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -40,43 +41,41 @@ def _product(a: F64, b: F64) -> F64:
 def _axis_turns() -> tuple[F64, NDArray[np.int64]]:
     """Returns the 24 rotations that permute the axes: quaternions, and for each new axis the old one, [24, 3]."""
     half = np.sqrt(0.5)
-    found = [np.array([1.0, 0, 0, 0])]
-    for turn in found:
+    turns = [np.array([1.0, 0, 0, 0])]
+    for turn in turns:
         for i in range(3):
             quarter = np.zeros(4)
             quarter[[0, 1 + i]] = half
             new = _product(turn, quarter)
-            if all(abs(new @ old) < 0.99 for old in found):
-                found.append(new)
+            if all(abs(new @ old) < 0.99 for old in turns):
+                turns.append(new)
     axes = []
-    for turn in found:
+    for turn in turns:
         vectors = np.concatenate([np.zeros((3, 1)), np.eye(3)], axis=1)
         moved = _product(_product(turn[None], vectors), turn[None] * (1, -1, -1, -1))[:, 1:]
         axes.append(np.abs(moved).argmax(axis=1))
-    return np.array(found), np.array(axes)
+    return np.array(turns), np.array(axes)
 
 
-def numbers(arrays: Mapping[str, F32]) -> F64:
+def numbers(splats: Splats) -> F64:
     """Returns the table of numbers of Gaussians, float64 [n, 7 + 3 H].
 
     Of the 24 equal choices of a Gaussian's axes, it has the one whose rotation is the smallest: x, y and z are then
     below 1, and lengths are those along the world's axes, nearly.
     """
-    count = len(arrays["mean"])
-    quaternion = arrays["quaternion"].astype(np.float64)
-    quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
+    count, quaternion = len(splats.mean), splats.unit_quaternions()
     turns, axes = _axis_turns()
     # The rotation part w of the product with a turn is a scalar product.
     chosen = np.abs(quaternion @ (turns * (1, -1, -1, -1)).T).argmax(axis=1)
     turned = _product(quaternion, turns[chosen])
-    lengths = np.take_along_axis(arrays["scale"].astype(np.float64), axes[chosen], axis=1)
-    colour = np.concatenate([arrays["base"], arrays["rest"].reshape(count, -1)], axis=1)
+    lengths = np.take_along_axis(splats.scale.astype(np.float64), axes[chosen], axis=1)
+    colour = np.concatenate([splats.base, splats.rest.reshape(count, -1)], axis=1)
     own = turned[:, 1:] / turned[:, :1]
-    return np.concatenate([lengths, arrays["opacity"][:, None], own, colour], axis=1, dtype=np.float64)
+    return np.concatenate([lengths, splats.opacity[:, None], own, colour], axis=1, dtype=np.float64)
 
 
-def splats_of(mean: Tensor, table: Tensor) -> dict[str, Tensor]:
-    """Returns Gaussians as splats.Splats. mean: [n, 3]. table: [n, 7 + 3 H]."""
+def tensors_of(mean: Tensor, table: Tensor) -> dict[str, Tensor]:
+    """Returns Gaussians as drawing.Tensors. mean: [n, 3]. table: [n, 7 + 3 H]."""
     colour = table[:, COLOUR].reshape(len(table), -1, 3)
     return {
         "mean": mean,
@@ -98,13 +97,13 @@ def importance(
     """
     generator = torch.Generator().manual_seed(0)
     values = [torch.from_numpy(v.astype(np.float32)).requires_grad_() for v in (mean, table)]
-    found = [np.zeros(v.shape) for v in values]
+    squares = [np.zeros(v.shape) for v in values]
     for number, camera in enumerate(cameras, start=1):
-        image, _, _ = drawn(splats_of(*values), camera, settings)
+        image, _, _ = drawn(tensors_of(*values), camera, settings)
         for probe in range(PROBES):
             signs = torch.randint(0, 2, image.shape, generator=generator).float() * 2 - 1
             slopes = torch.autograd.grad(image, values, signs, retain_graph=probe + 1 < PROBES)
             for i, slope in enumerate(slopes):
-                found[i] += slope.double().numpy() ** 2 / (image.numel() * PROBES * len(cameras))
+                squares[i] += slope.double().numpy() ** 2 / (image.numel() * PROBES * len(cameras))
         progress("measure", number, len(cameras))
-    return found[0], found[1]
+    return squares[0], squares[1]

@@ -41,13 +41,13 @@ class Linear:
 
     def symbols(self, numbers: F64, k: int) -> I64:
         """Returns the features [n, features] that are nearest to numbers [n, numbers] of class k, in least squares."""
-        found = np.rint((numbers - self.middle) @ np.linalg.pinv(self.matrix[k]).T)
-        return found.clip(-self.most[k], self.most[k]).astype(np.int64)
+        exact = (numbers - self.middle) @ np.linalg.pinv(self.matrix[k]).T
+        return np.rint(exact).clip(-self.most[k], self.most[k]).astype(np.int64)
 
     def numbers(self, symbols: I64, k: int) -> F64:
         """Returns what the network makes of features of class k, before its rounding."""
-        found: F64 = symbols @ self.matrix[k].T + self.middle
-        return found
+        numbers: F64 = symbols @ self.matrix[k].T + self.middle
+        return numbers
 
 
 def network(steps: F64, basis: F64, middle: F64, inputs: I64, count: int, width: int) -> tuple[list[Layer], Linear]:
@@ -61,8 +61,8 @@ def network(steps: F64, basis: F64, middle: F64, inputs: I64, count: int, width:
         gain = 2.0 ** np.ceil(np.log2(np.maximum(steps / most, 1)))
         maps = (steps / gain)[:, None, :] * basis * 2.0**OUTPUT_BITS
         rows = [_row(maps[:, r], float(middle[r]) * 2.0**OUTPUT_BITS, width) for r in range(len(basis))]
-        found = [row for row in rows if row]
-        if len(found) == len(rows):
+        fitting = [row for row in rows if row]
+        if len(fitting) == len(rows):
             break
     else:
         raise ValueError(
@@ -78,7 +78,7 @@ def network(steps: F64, basis: F64, middle: F64, inputs: I64, count: int, width:
             large = classes * m + 2 * (k - 1)
             first[large, 0], bias[large] = ACTIVATION_MAX, -ACTIVATION_MAX * (k - 1)
             first[large + 1, 0], bias[large + 1] = 1, 1 - k
-    last, end = np.array([weight for weight, _ in found]), np.array([own for _, own in found])
+    last, end = np.array([weight for weight, _ in fitting]), np.array([own for _, own in fitting])
     matrix = last[:, : classes * m].reshape(len(basis), classes, m).transpose(1, 0, 2) * gain[:, None, :]
     own = end + MIDDLE * last[:, :m].sum(axis=1)
     layers = [(first, bias), (last.astype(np.float32), end.astype(np.float32))]

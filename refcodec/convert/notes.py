@@ -5,14 +5,15 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+import msgspec
 import numpy as np
-from numpy.typing import NDArray
+from msgspec import Meta
 
-from ..files.documents import DocumentError, read_json
 from ..files.text import printable
 from ..folder.layout import SceneFolderError, there
+from ..formats.common import ContentError, Document, errors_in
 from ..rendering.camera import ROTATION_TOLERANCE, SIDE_MAX, Camera
 
 SETTINGS_FILE, CAMERAS_FILE = "cfg_args", "cameras.json"
@@ -20,8 +21,6 @@ SETTINGS_FILE, CAMERAS_FILE = "cfg_args", "cameras.json"
 SETTINGS_MAX = 64 << 10
 # A camera takes some 500 bytes.
 CAMERAS_MAX, CAMERAS_BYTES = 16384, 8 << 20
-
-_CAMERAS = "restore the file, or remove it"
 
 
 @dataclass(frozen=True)
@@ -70,52 +69,46 @@ def read_settings(file: Path) -> ModelSettings:
     )
 
 
+_MOST = float(np.finfo(np.float32).max)
+_Number = Annotated[float, Meta(ge=-_MOST, le=_MOST)]
+_Vector = tuple[_Number, _Number, _Number]
+_Side = Annotated[float, Meta(ge=1, le=SIDE_MAX)]
+_Focal = Annotated[float, Meta(gt=0, le=_MOST)]
+
+
+class _Camera(msgspec.Struct):
+    """A camera. Its position is in the world, and its rotation is from the camera to the world, by rows."""
+
+    width: _Side
+    height: _Side
+    fx: _Focal
+    fy: _Focal
+    rotation: tuple[_Vector, _Vector, _Vector]
+    position: _Vector
+    img_name: Any = None
+
+
+_Cameras = Annotated[list[_Camera], Meta(max_length=CAMERAS_MAX)]
+
+
 def read_cameras(file: Path) -> list[Camera]:
-    """Returns the cameras of a cameras.json, in its order; none if the file is missing.
-
-    The file states the centre of a camera in the world, and by rows the rotation from camera to world. Raises
-    SceneFolderError.
-    """
-    if not there(file, _CAMERAS):
+    """Returns the cameras of a cameras.json, in its order; none if the file is missing. Raises SceneFolderError."""
+    advice = "restore the file, or remove it"
+    if not there(file, advice):
         return []
-    try:
-        listed = read_json(file, CAMERAS_BYTES)
-    except DocumentError as error:
-        raise SceneFolderError(file, f"it is not JSON ({error})", _CAMERAS) from None
-    if not isinstance(listed, list) or len(listed) > CAMERAS_MAX:
-        raise SceneFolderError(file, f"it is not a list of at most {CAMERAS_MAX} cameras", _CAMERAS)
-    return [_camera(file, number, fields) for number, fields in enumerate(listed)]
+    with file.open("rb") as opened:
+        data = opened.read(CAMERAS_BYTES + 1)
+    with errors_in(file, advice):
+        listed = Document("text", data, CAMERAS_BYTES).get("", _Cameras)
+        return [_camera(number, stated) for number, stated in enumerate(listed)]
 
 
-def _is_numbers(value: Any, shape: tuple[int, ...]) -> bool:
-    """Whether a JSON value is nested lists of numbers of the given shape."""
-    if not shape:
-        return isinstance(value, int | float) and not isinstance(value, bool)
-    first, *others = shape
-    return isinstance(value, list) and len(value) == first and all(_is_numbers(v, tuple(others)) for v in value)
-
-
-def _camera(file: Path, number: int, fields: Any) -> Camera:
-    def fault(problem: str) -> SceneFolderError:
-        return SceneFolderError(file, f"[{number}] {problem}", _CAMERAS)
-
-    if not isinstance(fields, dict):
-        raise fault("is not an object")
-
-    def numbers(name: str, shape: tuple[int, ...]) -> NDArray[np.float64]:
-        value = fields.get(name)
-        array = np.array(value, np.float64) if _is_numbers(value, shape) else np.full(shape, np.inf)
-        if np.abs(array).max() > np.finfo(np.float32).max:
-            raise fault(f"has no {name} of {' x '.join(map(str, shape)) or 1} numbers")
-        return array
-
-    width, height = (int(numbers(name, ())) for name in ("width", "height"))
-    fx, fy = (float(numbers(name, ())) for name in ("fx", "fy"))
-    if not (1 <= width <= SIDE_MAX and 1 <= height <= SIDE_MAX and fx > 0 and fy > 0):
-        raise fault(f"has no width and height from 1 to {SIDE_MAX} and focal lengths above 0")
-    rotation, centre = numbers("rotation", (3, 3)).T, numbers("position", (3,))
+def _camera(number: int, stated: _Camera) -> Camera:
+    """Returns a camera of the file. Raises ContentError."""
+    rotation, centre = np.array(stated.rotation).T, np.array(stated.position)
     right = np.abs(rotation).max() < 2 and np.abs(rotation @ rotation.T - np.eye(3)).max() <= ROTATION_TOLERANCE
     if not right or np.linalg.det(rotation) < 0:
-        raise fault(f"has a matrix that is not a rotation to {ROTATION_TOLERANCE}")
-    name = printable(str(fields.get("img_name", number)), 200)
-    return Camera(name, width, height, fx, fy, width / 2, height / 2, rotation, -rotation @ centre)
+        raise ContentError(f"[{number}] has a matrix that is not a rotation to {ROTATION_TOLERANCE}")
+    name = printable(str(number if stated.img_name is None else stated.img_name), 200)
+    width, height = int(stated.width), int(stated.height)
+    return Camera(name, width, height, stated.fx, stated.fy, width / 2, height / 2, rotation, -rotation @ centre)

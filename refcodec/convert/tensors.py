@@ -1,20 +1,14 @@
 """Tensors of PyTorch files: state dicts, and TorchScript archives, whose code is never run.
 
 Both are zip archives with a pickle that names tensors, whose bytes are in the archive. A pickle can call any function.
-Here none can:
-
-- Every pickle is read opcode by opcode, and gives names and locations of tensors, not objects. A pickle that names any
-  function but those that make tensors is refused.
-- A state dict is then loaded by torch.load(weights_only=True).
-- A TorchScript archive is not loaded. Its tensors are read from the locations in its pickle.
+Here none can: every pickle is read opcode by opcode, and gives names and locations of tensors, not objects. A pickle of
+state dicts that names any function but those that make tensors is refused.
 """
-
-# torch is imported where it is used. TorchScript archives are read without it.
-# ruff: noqa: PLC0415
 
 from __future__ import annotations
 
 import contextlib
+import io
 import math
 import pickle
 import pickletools
@@ -29,7 +23,8 @@ from numpy.typing import NDArray
 
 from ..files.text import printable
 from ..folder.layout import SceneFolderError, there
-from .archives import opened_zip
+from ..formats.archives import opened_zip, read_entry
+from ..formats.common import ContentError, errors_in
 
 AGAIN = "save it again with the program that made it"
 
@@ -49,19 +44,20 @@ SIDES_MAX = 5
 # Sizes, strides and offsets are int64 in torch. Longer integers would cost more with each operation.
 INTEGER_BITS = 63
 
-_TYPES = {"HalfStorage": "<f2", "FloatStorage": "<f4", "DoubleStorage": "<f8"}
+# NumPy's type of the numbers of a storage. The upper half of a float32 is a bfloat16.
+_BFLOAT16 = "BFloat16Storage"
+_TYPES = {"HalfStorage": "<f2", "FloatStorage": "<f4", "DoubleStorage": "<f8", _BFLOAT16: "<u2"}
 _REBUILD, _PARAMETER, _DICT = (
     "torch._utils _rebuild_tensor_v2",
     "torch._utils _rebuild_parameter",
     "collections OrderedDict",
 )
-_STORAGES = (
-    *_TYPES,
-    *("BFloat16Storage", "BoolStorage", "ByteStorage", "CharStorage", "ShortStorage", "IntStorage", "LongStorage"),
-)
-_STORAGE_NAMES = {f"torch {storage}": storage for storage in _STORAGES}
+_INTEGERS = ("BoolStorage", "ByteStorage", "CharStorage", "ShortStorage", "IntStorage", "LongStorage")
+_STORAGES = {f"torch {storage}": storage for storage in (*_TYPES, *_INTEGERS)}
 # The functions that a state dict names: they make tensors, and none of them takes a size.
-_STATE_DICT = {_REBUILD, _PARAMETER, _DICT, *_STORAGE_NAMES}
+_STATE_DICT = {_REBUILD, _PARAMETER, _DICT, *_STORAGES}
+# What torch adds to the fields of a state dict.
+_METADATA = "_metadata"
 # The opcodes of torch's picklers, all of protocol 2.
 _CONSTANTS: dict[str, Any] = {"NONE": None, "NEWTRUE": True, "NEWFALSE": False}
 _VALUES = {"BINUNICODE", "BININT", "BININT1", "BININT2", "LONG1", "BINFLOAT"}
@@ -71,65 +67,40 @@ _STACKED = {
     *("NEWOBJ", "REDUCE", "BUILD", "BINPERSID"),
 }
 
+Parameters = dict[str, NDArray[np.float32]]
 
-def read_state_dicts(file: Path, networks: Collection[str]) -> dict[str, dict[str, NDArray[np.float32]]]:
+
+def read_state_dicts(file: Path, networks: Collection[str]) -> dict[str, Parameters]:
     """Returns the wanted state dicts of a torch.save file: float tensors by name, by network.
 
     networks: the wanted names. Raises SceneFolderError.
     """
-    import torch
-
     with _opened(file) as archive:
-        for entry in archive.infolist():
-            if entry.compress_type != zipfile.ZIP_STORED:
-                raise SceneFolderError(file, f"its entry {printable(entry.filename)} is compressed", AGAIN)
-        _Machine(file, classes=False).run(_operations(file, _pickle(file, archive)))
-    try:
-        # Memory-mapped, because the networks are a small part of a HAC checkpoint.
-        loaded = torch.load(str(file), map_location="cpu", weights_only=True, mmap=True)
-    except MemoryError:
-        raise
-    # torch raises many types for bad bytes.
-    except Exception as error:
-        raise SceneFolderError(file, f"it cannot be read ({_line(error)})", AGAIN) from None
-    if not isinstance(loaded, dict):
-        raise SceneFolderError(file, "it holds no state dicts by name", AGAIN)
-    return {
-        name: _floats(file, name, values)
-        for name, values in loaded.items()
-        if isinstance(name, str) and name in networks
-    }
+        loaded = _Machine(classes=False).run(_pickle(archive))
+        if not isinstance(loaded, dict):
+            raise ContentError("it holds no state dicts by name")
+        return {
+            name: _parameters(archive, f"{name}.", values)
+            for name, values in loaded.items()
+            if isinstance(name, str) and name in networks
+        }
 
 
-def _floats(file: Path, network: str, values: Any) -> dict[str, NDArray[np.float32]]:
-    """Returns the tensors of a state dict. Raises SceneFolderError for a tensor that no network or embedding has."""
-    import torch
-
-    if not isinstance(values, dict) or len(values) > TENSORS_MAX:
-        raise SceneFolderError(file, f"{network} is not a state dict of at most {TENSORS_MAX} tensors", AGAIN)
-    for name, value in values.items():
-        dense = isinstance(value, torch.Tensor) and value.layout == torch.strided and value.is_contiguous()
-        if not dense or not value.is_floating_point() or 4 * value.numel() > TENSOR_MAX:
-            problem = (
-                f"{network}.{printable(str(name), 60)} is not a dense tensor of floats of at most {TENSOR_MAX} bytes"
-            )
-            raise SceneFolderError(file, problem, AGAIN)
-    return {str(name): value.detach().to(torch.float32).numpy() for name, value in values.items()}
-
-
-def read_torchscript(file: Path) -> dict[str, NDArray[np.float32]]:
+def read_torchscript(file: Path) -> Parameters:
     """Returns the parameters of a TorchScript archive by name, such as 0.weight. None of its code is run.
 
     Raises SceneFolderError.
     """
     with _opened(file) as archive:
-        module = _Machine(file, classes=True).run(_operations(file, _pickle(file, archive)))
-        stored = dict(_parameters(file, module))
-        if len(stored) > TENSORS_MAX:
-            raise SceneFolderError(
-                file, f"it has {len(stored)} parameters, but at most {TENSORS_MAX} are allowed", AGAIN
-            )
-        return {name: _tensor(file, archive, name, tensor) for name, tensor in stored.items()}
+        return _parameters(archive, "", dict(_fields(_Machine(classes=True).run(_pickle(archive)))))
+
+
+def _parameters(archive: zipfile.ZipFile, network: str, values: Any) -> Parameters:
+    """Returns the tensors of a state dict. network: the start of their names in errors. Raises ContentError."""
+    named = {name: value for name, value in values.items() if name != _METADATA} if isinstance(values, dict) else None
+    if named is None or len(named) > TENSORS_MAX:
+        raise ContentError(f"{network or 'it'} does not have at most {TENSORS_MAX} tensors by name")
+    return {str(name): _tensor(archive, f"{network}{name}", value) for name, value in named.items()}
 
 
 # --- the archive ------------------------------------------------------------------------------------------------------
@@ -137,70 +108,61 @@ def read_torchscript(file: Path) -> dict[str, NDArray[np.float32]]:
 
 @contextlib.contextmanager
 def _opened(file: Path) -> Iterator[zipfile.ZipFile]:
-    """Yields the archive of a file. Raises SceneFolderError."""
+    """Yields the archive of a file. Raises SceneFolderError, also for a ContentError inside."""
     if not there(file, AGAIN):
         raise SceneFolderError(file, "the file does not exist", AGAIN)
     if file.stat().st_size > FILE_MAX:
         raise SceneFolderError(file, f"it has more than {FILE_MAX} bytes", "give a checkpoint of a scene")
-    with opened_zip(file, "zip archive, as torch writes since 1.6", AGAIN) as archive:
+    with errors_in(file, AGAIN), opened_zip(io.FileIO(file), "zip archive, as torch writes since 1.6") as archive:
         names = [entry.filename for entry in archive.infolist()]
         if len(set(names)) != len(names):
             # Readers differ in which of the two they use.
-            raise SceneFolderError(file, "two of its entries have the same name", AGAIN)
+            raise ContentError("two of its entries have the same name")
         yield archive
 
 
-def _record(file: Path, archive: zipfile.ZipFile, name: str, most: int) -> bytes:
+def _record(archive: zipfile.ZipFile, name: str, most: int) -> bytes:
     """Returns an entry of an archive, which must be uncompressed and have at most `most` bytes.
 
-    name: without the archive's own folder. Raises SceneFolderError.
+    name: without the archive's own folder. Raises ContentError.
     """
     entries = [entry for entry in archive.infolist() if entry.filename.partition("/")[2] == name]
     if len(entries) != 1:
-        raise SceneFolderError(file, f"it has {len(entries)} entries {printable(name)}, but must have exactly 1", AGAIN)
+        raise ContentError(f"it has {len(entries)} entries {printable(name)}, but must have exactly 1")
     if entries[0].compress_type != zipfile.ZIP_STORED or entries[0].file_size > most:
-        raise SceneFolderError(file, f"its entry {printable(name)} is compressed, or has more than {most} bytes", AGAIN)
-    try:
-        with archive.open(entries[0]) as opened:
-            return opened.read(most + 1)
-    # zipfile raises several types for bad bytes.
-    except (zipfile.BadZipFile, ValueError, NotImplementedError, EOFError, RuntimeError, OSError) as error:
-        raise SceneFolderError(file, f"its entry {printable(name)} is damaged ({_line(error)})", AGAIN) from None
+        raise ContentError(f"its entry {printable(name)} is compressed, or has more than {most} bytes")
+    return read_entry(archive, entries[0].filename, most)
 
 
-def _pickle(file: Path, archive: zipfile.ZipFile) -> bytes:
-    if any(entry.filename.partition("/")[2] == "byteorder" for entry in archive.infolist()):
-        order = _record(file, archive, "byteorder", 16)
-        if order != b"little":
-            raise SceneFolderError(file, "its tensors are not little-endian", AGAIN)
-    return _record(file, archive, "data.pkl", PICKLE_MAX)
-
-
-def _line(error: Exception) -> str:
-    return printable(str(error).partition("\n")[0], 120)
+def _pickle(archive: zipfile.ZipFile) -> bytes:
+    stated = any(entry.filename.partition("/")[2] == "byteorder" for entry in archive.infolist())
+    if stated and _record(archive, "byteorder", 16) != b"little":
+        raise ContentError("its tensors are not little-endian")
+    return _record(archive, "data.pkl", PICKLE_MAX)
 
 
 # --- the pickle -------------------------------------------------------------------------------------------------------
 
 
-def _names(file: Path, what: str) -> SceneFolderError:
+def _names(what: str) -> ContentError:
     problem = f"its pickle names {printable(what, 80)}, which is not a tensor: nothing of it was run"
-    return SceneFolderError(file, problem, "give a checkpoint that torch.save wrote of state dicts")
+    return ContentError(problem, "give a checkpoint that torch.save wrote of state dicts")
 
 
-def _operations(file: Path, data: bytes) -> Iterator[tuple[str, Any]]:
-    """Returns the opcodes of a pickle with arguments. Raises SceneFolderError for those that torch does not write."""
+def _operations(data: bytes) -> Iterator[tuple[str, Any]]:
+    """Returns the opcodes of a pickle with arguments. Raises ContentError for those that torch does not write."""
     try:
         for operation, argument, _ in pickletools.genops(data):
             name = operation.name
             if name not in _STACKED and name not in _VALUES and name not in _CONSTANTS:
-                raise SceneFolderError(file, f"its pickle has the opcode {name}, which torch does not write", AGAIN)
+                raise ContentError(f"its pickle has the opcode {name}, which torch does not write")
             yield name, argument
-    except SceneFolderError:
+    except ContentError:
         raise
     # pickletools raises several types for bad bytes.
     except (ValueError, pickle.UnpicklingError, IndexError, OverflowError) as error:
-        raise SceneFolderError(file, f"its pickle is damaged ({_line(error)})", AGAIN) from None
+        line = printable(str(error).partition("\n")[0], 120)
+        raise ContentError(f"its pickle is damaged ({line})") from None
 
 
 @dataclass(frozen=True)
@@ -227,17 +189,17 @@ class _Machine:
     classes: whether it may name any classes. They become dictionaries of their fields.
     """
 
-    def __init__(self, file: Path, classes: bool) -> None:
-        self.file, self.classes = file, classes
+    def __init__(self, classes: bool) -> None:
+        self.classes = classes
         self.stack: list[Any] = []
         self.marks: list[int] = []
         self.memo: dict[int, Any] = {}
         self.moved = 0
 
-    def run(self, operations: Iterator[tuple[str, Any]]) -> Any:
-        """Returns the object that the pickle describes. Raises SceneFolderError."""
+    def run(self, data: bytes) -> Any:
+        """Returns the object that a pickle describes. Raises ContentError."""
         try:
-            for name, argument in operations:
+            for name, argument in _operations(data):
                 if name in _CONSTANTS:
                     self.stack.append(_CONSTANTS[name])
                 elif name in _VALUES:
@@ -249,9 +211,9 @@ class _Machine:
             return self.stack.pop()
         # An opcode without operands, or with unexpected ones.
         except (IndexError, KeyError, TypeError, ValueError, AttributeError) as error:
-            if isinstance(error, SceneFolderError):
+            if isinstance(error, ContentError):
                 raise
-            raise SceneFolderError(self.file, "its pickle is damaged", AGAIN) from None
+            raise ContentError("its pickle is damaged") from None
 
     def _marked(self) -> list[Any]:
         mark = self.marks.pop()
@@ -264,7 +226,7 @@ class _Machine:
         stack = self.stack
         if name == "GLOBAL":
             if not self.classes and argument not in _STATE_DICT:
-                raise _names(self.file, argument)
+                raise _names(argument)
             stack.append(_Name(argument))
         elif name in ("BINPUT", "LONG_BINPUT"):
             self.memo[argument] = stack[-1]
@@ -317,28 +279,29 @@ class _Machine:
         if kind != "storage" or not isinstance(storage, _Name) or not isinstance(key, str):
             raise ValueError
         # One of few strings, because the name may be as long as the pickle. Tensors of other types are not used.
-        return _STORAGE_NAMES.get(storage.name, ""), key
+        return _STORAGES.get(storage.name, ""), key
 
     def _called(self, function: Any, arguments: Any) -> Any:
         if not isinstance(function, _Name) or function.name not in _STATE_DICT:
-            raise _names(self.file, function.name if isinstance(function, _Name) else "no function")
+            raise _names(function.name if isinstance(function, _Name) else "no function")
         if function.name == _DICT:
             return {}
         if function.name == _PARAMETER:
             return arguments[0]
         if function.name != _REBUILD:
-            raise _names(self.file, function.name)
+            raise _names(function.name)
         (storage, key), offset, shape, stride = arguments[:4]
         if len(shape) > SIDES_MAX:
-            problem = f"its pickle has a tensor of {len(shape)} dimensions, but at most {SIDES_MAX} are allowed"
-            raise SceneFolderError(self.file, problem, AGAIN)
+            raise ContentError(
+                f"its pickle has a tensor of {len(shape)} dimensions, but at most {SIDES_MAX} are allowed"
+            )
         if len(shape) != len(stride) or not all(type(v) is int and v >= 0 for v in (offset, *shape, *stride)):
             raise ValueError
         return _Stored(storage, key, offset, tuple(shape), tuple(stride))
 
 
-def _parameters(file: Path, module: Any) -> Iterator[tuple[str, _Stored]]:
-    """Returns the tensors of a module by name, such as part.tensor. Raises SceneFolderError."""
+def _fields(module: Any) -> Iterator[tuple[str, _Stored]]:
+    """Returns the tensors of a module by name, such as part.tensor. Raises ContentError."""
     left: list[tuple[str, Any, int]] = [("", module, 0)]
     looked = 0
     while left:
@@ -348,30 +311,35 @@ def _parameters(file: Path, module: Any) -> Iterator[tuple[str, _Stored]]:
         for name, value in fields.items():
             looked += 1
             if looked > FIELDS_MAX or (isinstance(name, str) and len(name) > NAME_MAX):
-                problem = f"its module has more than {FIELDS_MAX} fields, or a name of more than {NAME_MAX} characters"
-                raise SceneFolderError(file, problem, AGAIN)
+                raise ContentError(
+                    f"its module has more than {FIELDS_MAX} fields, or a name of more than {NAME_MAX} characters"
+                )
             if isinstance(value, _Stored):
                 yield f"{prefix}{name}", value
             elif depth < DEPTH_MAX:
                 left.append((f"{prefix}{name}.", value, depth + 1))
 
 
-def _tensor(file: Path, archive: zipfile.ZipFile, name: str, stored: _Stored) -> NDArray[np.float32]:
-    """Returns a tensor, which must be contiguous. Raises SceneFolderError."""
-    kind = _TYPES.get(stored.storage)
-    packed, stride = 1, []
-    for side in reversed(stored.shape):
-        stride.append(packed)
-        packed *= side
-    in_order = all(side == 1 or s == t for side, s, t in zip(stored.shape, stored.stride, stride[::-1], strict=True))
-    count = math.prod(stored.shape)
-    if kind is None or not in_order or not 0 < 4 * count <= TENSOR_MAX:
-        problem = (
-            f"its parameter {printable(name, 60)} is not a contiguous tensor of floats of at most {TENSOR_MAX} bytes"
-        )
-        raise SceneFolderError(file, problem, AGAIN)
-    data = _record(file, archive, f"data/{stored.key}", TENSOR_MAX)
-    size = np.dtype(kind).itemsize
+def _tensor(archive: zipfile.ZipFile, name: str, stored: Any) -> NDArray[np.float32]:
+    """Returns a tensor, which must be contiguous. Raises ContentError."""
+    name = printable(name, 60)
+    kind = _TYPES.get(stored.storage) if isinstance(stored, _Stored) else None
+    if kind is None or not _is_dense(stored):
+        raise ContentError(f"{name} is not a dense tensor of floats of at most {TENSOR_MAX} bytes")
+    count, size = math.prod(stored.shape), np.dtype(kind).itemsize
+    if not count:
+        return np.zeros(stored.shape, np.float32)
+    data = _record(archive, f"data/{stored.key}", TENSOR_MAX)
     if len(data) < (stored.offset + count) * size:
-        raise SceneFolderError(file, f"its parameter {printable(name, 60)} has fewer bytes than its shape needs", AGAIN)
-    return np.frombuffer(data, kind, count, stored.offset * size).astype(np.float32).reshape(stored.shape)
+        raise ContentError(f"{name} has fewer bytes than its shape needs")
+    values = np.frombuffer(data, kind, count, stored.offset * size)
+    if stored.storage == _BFLOAT16:
+        values = (values.astype("<u4") << 16).view("<f4")
+    return values.astype(np.float32).reshape(stored.shape)
+
+
+def _is_dense(stored: _Stored) -> bool:
+    """Whether the numbers of a tensor follow each other, the last side first, and are at most TENSOR_MAX bytes."""
+    wanted = [math.prod(stored.shape[number + 1 :]) for number in range(len(stored.shape))]
+    in_order = all(side == 1 or own == w for side, own, w in zip(stored.shape, stored.stride, wanted, strict=True))
+    return 4 * math.prod(stored.shape) <= TENSOR_MAX and (in_order or 0 in stored.shape)

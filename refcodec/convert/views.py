@@ -21,11 +21,12 @@ from PIL import Image
 
 from ..files.ply import ply_bytes
 from ..files.stage import new_file
+from ..formats.harmonics import ZERO
+from ..formats.splats import Splats
 from ..rendering.camera import Camera, looking
-from ..rendering.harmonics import ZERO
 from ..rendering.rasterise import Settings
 from ..rendering.view import eight_bits, spiral
-from .splats import Splats, drawn
+from .drawing import Tensors, drawn, tensors
 
 F64 = NDArray[np.float64]
 
@@ -54,7 +55,7 @@ Views = Mapping[str, Sequence[Camera]]
 
 def middle_and_radius(splats: Splats) -> tuple[F64, float]:
     """Returns the median of the means, float64 [3], and the distance from there within which SHARE of them are."""
-    mean = splats["mean"].double().numpy()
+    mean = splats.mean.astype(np.float64)
     middle = np.median(mean, axis=0)
     return middle, float(np.quantile(np.linalg.norm(mean - middle, axis=1), SHARE)) or 1.0
 
@@ -138,7 +139,7 @@ def transforms(cameras: Sequence[Camera]) -> dict[str, object]:
     return {"frames": frames}
 
 
-def _picture(splats: Splats, camera: Camera, settings: Settings, transparent: bool) -> Image.Image:
+def _picture(splats: Tensors, camera: Camera, settings: Settings, transparent: bool) -> Image.Image:
     """Returns the image of a camera: RGB, or without a background RGBA with straight alpha."""
     image, transmittance, _ = drawn(splats, camera, settings)
     if not transparent:
@@ -164,18 +165,18 @@ def write_photographs(
     """
     red, green, blue = (value / 255 for value in background or (0, 0, 0))
     settings = Settings(near_plane=near_plane(splats), background=(red, green, blue))
-    done, total = 0, sum(len(cameras) for cameras in views.values())
+    shown, done, total = tensors(splats), 0, sum(len(cameras) for cameras in views.values())
     for name, cameras in views.items():
         (folder / name).mkdir(parents=True, exist_ok=True)
         for camera in cameras:
             data = io.BytesIO()
-            _picture(splats, camera, settings, background is None).save(data, "PNG")
+            _picture(shown, camera, settings, background is None).save(data, "PNG")
             _put(folder / f"{camera.name}.png", data.getvalue())
             done += 1
             progress("draw", done, total)
         _put(folder / f"transforms_{name}.json", (json.dumps(transforms(cameras), indent=1) + "\n").encode())
     if points:
-        _write_points(splats, folder / POINTS_FILE)
+        _write_points(shown, folder / POINTS_FILE)
 
 
 def _put(path: Path, content: bytes) -> None:
@@ -183,7 +184,7 @@ def _put(path: Path, content: bytes) -> None:
         file.write(content)
 
 
-def _write_points(splats: Splats, path: Path) -> None:
+def _write_points(splats: Tensors, path: Path) -> None:
     """Writes the means of the visible Gaussians, with their mean colours, as a PLY file of points."""
     seen = torch.nonzero(torch.sigmoid(splats["opacity"]) >= OPAQUE)[:, 0]
     rows = seen if len(seen) else torch.arange(len(splats["mean"]))
@@ -194,4 +195,4 @@ def _write_points(splats: Splats, path: Path) -> None:
     for values, names in ((mean, ("x", "y", "z")), (colour, ("red", "green", "blue"))):
         for column, name in enumerate(names):
             table[name] = values[:, column]
-    _put(path, ply_bytes(table))
+    _put(path, ply_bytes({"vertex": table}))

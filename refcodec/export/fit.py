@@ -26,12 +26,13 @@ from numpy.typing import NDArray
 from ..bitstream.batches import Progress
 from ..bitstream.cameras import rotation_matrix
 from ..bitstream.reconstruction import Reconstruction
+from ..formats.harmonics import harmonics
+from ..formats.packing import OPACITY_LEAST, logits, opacities
+from ..formats.splats import Splats
 from ..rendering.camera import Camera
 from ..rendering.gaussians import Gaussians, gaussians
-from ..rendering.harmonics import harmonics
-from ..rendering.rasterise import Settings, rasterise, rasterise_backward
+from ..rendering.rasterise import draw, rasterise, rasterise_backward, settings_of
 from ..rendering.view import View
-from .splats import OPACITY_LEAST, Splats, draw, logits, opacities
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -55,13 +56,6 @@ class Fitted:
     of: int
 
 
-def render_settings(view: View) -> Settings:
-    """Returns the render settings of the scene (SPEC 6.5) for the rasteriser."""
-    info = view.info
-    red, green, blue = (value / 255 for value in info.background)
-    return Settings(info.low_pass, info.near_plane, info.alpha_max, (red, green, blue))
-
-
 def fit(view: View, cameras: Sequence[Camera], degree: int, iterations: int, progress: Progress) -> Fitted:
     """Returns Gaussians that look like a scene from the given cameras.
 
@@ -82,7 +76,7 @@ def agreement(view: View, splats: Splats, cameras: Sequence[Camera], progress: P
 
     It is infinite if all images are the same. Raises ValueError as rasterise.
     """
-    settings, decibels = render_settings(view), []
+    settings, decibels = settings_of(view.info), []
     for number, camera in enumerate(cameras):
         progress("measure", number, len(cameras))
         right, image = view.draw(camera), draw(splats, camera, settings).image
@@ -98,7 +92,7 @@ def _seen_by(view: View, values: Reconstruction, masks: NDArray[np.bool_], camer
 
 def _blending_weights(view: View, cameras: Sequence[Camera], progress: Progress) -> list[F32]:
     """Returns the blending weights of all offsets of all anchors in each view, float32 [N * K] each, in pixels."""
-    settings, count = render_settings(view), view.masks.shape[1]
+    settings, count = settings_of(view.info), view.masks.shape[1]
     listed = []
     for number, camera in enumerate(cameras):
         progress("views", number, len(cameras))
@@ -135,7 +129,7 @@ def _regression(
             sums.add(visible, visible.anchor * count + visible.offset, weight[place], camera)
         parts.append(sums.splats())
     progress("regression", anchors, anchors)
-    return Splats(*(np.concatenate([getattr(p, name) for p in parts]) for name in Splats.__dataclass_fields__))
+    return Splats(*map(np.concatenate, zip(*(vars(part).values() for part in parts), strict=True)))
 
 
 class _Sums:
@@ -215,10 +209,10 @@ def _least_squares(
 
     The coefficients are refined by conjugate gradient steps on the normal equations of the images.
     """
-    settings, degree = render_settings(view), splats.degree
+    settings, degree = settings_of(view.info), splats.degree
     geometry = splats.mean, splats.quaternion, np.exp(splats.scale), opacities(splats)
     black = replace(settings, background=(0.0, 0.0, 0.0))
-    found = splats.coefficients.astype(np.float64)
+    solution = splats.coefficients.astype(np.float64)
     stages = iterations + 1
 
     def through(coefficients: F64, target: Callable[[Camera], F32] | None, stage: int) -> F64:
@@ -234,7 +228,7 @@ def _least_squares(
         return out
 
     if iterations:
-        residual = through(found, view.draw, 0)
+        residual = through(solution, view.draw, 0)
         step, square = residual.copy(), float((residual**2).sum())
         for number in range(iterations):
             carried = through(step, None, number + 1)
@@ -242,9 +236,9 @@ def _least_squares(
             if curvature <= 0:
                 # The fit has converged.
                 break
-            found += square / curvature * step
+            solution += square / curvature * step
             residual -= square / curvature * carried
             last, square = square, float((residual**2).sum())
             step = residual + square / last * step
         progress("images", stages * len(cameras), stages * len(cameras))
-    return replace(splats, base=found[:, 0].astype(np.float32), rest=found[:, 1:].astype(np.float32))
+    return replace(splats, base=solution[:, 0].astype(np.float32), rest=solution[:, 1:].astype(np.float32))

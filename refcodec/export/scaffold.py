@@ -46,7 +46,7 @@ from ..files.outputs import Kind, check_file
 from ..files.ply import ply_bytes
 from ..files.stage import exchange, new_file
 from ..folder.layout import RENDER_FILE
-from ..folder.ply import ply_values
+from ..folder.ply import ply_properties, ply_values
 from ..folder.uncompressed import render_document
 from ..rendering.camera import default_camera
 from ..rendering.gaussians import check_view_dependent
@@ -219,24 +219,12 @@ def _state_dicts(modules: dict[str, nn.Sequential]) -> bytes:
 
 def _cloud(values: Reconstruction, masks: NDArray[np.bool_], features: F32) -> bytes:
     """Returns point_cloud.ply, without masks. The opacity and the rotation of anchors are not used."""
-    count, found = len(masks), ply_values(values, masks)
-    rotation = np.broadcast_to(np.array([1, 0, 0, 0], np.float32), (count, 4))
-    columns = {
-        ("x", "y", "z"): found["xyz"],
-        ("nx", "ny", "nz"): np.zeros((count, 3), np.float32),
-        "f_offset_": found["f_offset_"],
-        "f_anchor_feat_": features,
-        ("opacity",): np.zeros((count, 1), np.float32),
-        "scale_": found["scale_"],
-        "rot_": rotation,
-    }
-    names = [
-        name
-        for stem, part in columns.items()
-        for name in ([f"{stem}{i}" for i in range(part.shape[1])] if isinstance(stem, str) else stem)
-    ]
-    table = np.concatenate(list(columns.values()), axis=1).astype("<f4").view([(name, "<f4") for name in names])
-    return ply_bytes(table.reshape(count))
+    stored, zeros = ply_values(values, masks), np.zeros((len(masks), 3), np.float32)
+    rotation = np.broadcast_to(np.array([1, 0, 0, 0], np.float32), (len(masks), 4))
+    parts = stored["xyz"], zeros, stored["f_offset_"], features, zeros[:, :1], stored["scale_"], rotation
+    names = ply_properties(masks.shape[1], features.shape[1])
+    row = [(name, "<f4") for name in names if not name.startswith("f_mask_")]
+    return ply_bytes({"vertex": np.concatenate(parts, axis=1).astype("<f4").view(row).reshape(len(masks))})
 
 
 def _cfg_args(width: int, offsets: int, render: RenderInfo, voxel: float | None) -> str:

@@ -71,14 +71,14 @@ def _between(cameras: Sequence[Camera]) -> list[Camera]:
     seen = poses(cameras)
     apart = np.linalg.norm(seen[:, None] - seen, axis=2)
     np.fill_diagonal(apart, np.inf)
-    found = []
+    between = []
     for one, other in sorted({(min(i, j), max(i, j)) for i, j in enumerate(apart.argmin(axis=1).tolist())}):
         ends = cameras[one], cameras[other]
         turn = Slerp([0, 1], Rotation.from_matrix([camera.rotation for camera in ends]))
         rotation, centre = turn(0.5).as_matrix(), (ends[0].centre + ends[1].centre) / 2
         name = f"between-{one:04d}-{other:04d}"
-        found.append(replace(ends[0], name=name, rotation=rotation, translation=-rotation @ centre))
-    return found
+        between.append(replace(ends[0], name=name, rotation=rotation, translation=-rotation @ centre))
+    return between
 
 
 def _around(view: View, distance: float) -> list[Camera]:

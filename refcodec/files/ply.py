@@ -7,14 +7,18 @@ Python object.
 from __future__ import annotations
 
 import io
+import mmap
+import os
 import re
+from collections.abc import Mapping, Sequence
 from itertools import islice
-from math import prod
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+from .present import mapped
 
 # A header of Scaffold-GS has about a hundred properties of twenty bytes.
 HEADER_MAX = 64 << 10
@@ -59,7 +63,7 @@ def check_ply_header(path: Path) -> tuple[int, int]:
     and OSError.
     """
     with path.open("rb") as file:
-        _, elements = _header(path, file)
+        _, elements = _header(file, os.fstat(file.fileno()).st_size)
     return max((e.rows for e in elements), default=0), sum(len(e.fields) for e in elements)
 
 
@@ -76,54 +80,70 @@ def names_of(table: NDArray[Any]) -> tuple[str, ...]:
 
 
 def read_ply(path: Path) -> dict[str, NDArray[Any]]:
-    """Returns each element of a file as a structured array [rows], by its name. Binary rows are mapped, not read.
+    """Returns each element of a file as parse_ply. Binary rows are mapped, not read. Raises PlyError, and OSError."""
+    return parse_ply(mapped(path))
 
-    Raises PlyError, and OSError.
+
+def parse_ply(data: mmap.mmap | bytes) -> dict[str, NDArray[Any]]:
+    """Returns each element of the bytes of a file as a structured array [rows], by its name. Raises PlyError.
+
+    Binary rows are parts of these bytes.
     """
     tables: dict[str, NDArray[Any]] = {}
-    with path.open("rb") as file:
-        order, elements = _header(path, file)
-        place = file.tell()
-        lines = io.TextIOWrapper(file, "ascii", "replace") if not order else None
-        for name, count, fields in elements:
-            try:
-                kind = np.dtype([(field, order + letters) for field, letters in fields])
-                if not count or not fields:
-                    tables[name] = np.empty(count, kind)
-                elif lines is not None:
-                    tables[name] = np.loadtxt(islice(lines, count), kind, comments=None, ndmin=1)
-                else:
-                    tables[name] = np.memmap(path, kind, "r", place, (count,))
-                    place += count * kind.itemsize
-            # NumPy reports duplicate names, and text that is not a number.
-            except ValueError as error:
-                raise PlyError(f"its element {name}: {error}") from None
-            if len(tables[name]) != count:
-                raise PlyError(f"its element {name} has {len(tables[name])} rows, but its header states {count}")
+    file = io.BytesIO(data[: HEADER_MAX + LINE_MAX])
+    order, elements = _header(file, len(data))
+    place = file.tell()
+    lines = io.TextIOWrapper(io.BytesIO(data[place:]), "ascii", "replace") if not order else None
+    for name, count, fields in elements:
+        try:
+            kind = np.dtype([(field, order + letters) for field, letters in fields])
+            if not count or not fields:
+                tables[name] = np.empty(count, kind)
+            elif lines is not None:
+                tables[name] = np.loadtxt(islice(lines, count), kind, comments=None, ndmin=1)
+            else:
+                tables[name] = np.frombuffer(data, kind, count, place)
+                place += count * kind.itemsize
+        # NumPy reports duplicate names, and text that is not a number.
+        except ValueError as error:
+            raise PlyError(f"its element {name}: {error}") from None
+        if len(tables[name]) != count:
+            raise PlyError(f"its element {name} has {len(tables[name])} rows, but its header states {count}")
     return tables
 
 
-def ply_header(kind: np.dtype[Any], count: int, *comments: str) -> bytes:
-    """Returns the header of a binary little-endian file with the element vertex. kind: of a row. count: rows."""
-    fields = [(name, np.dtype(kind[name]).str[1:]) for name in kind.names or ()]
-    lines = [
-        *("ply", "format binary_little_endian 1.0"),
-        # Viewers of 3DGS's authors read the count from the third line.
-        f"element vertex {count}",
-        *(f"comment {comment}" for comment in comments),
-        *(f"property {_NAMES[letters]} {name}" for name, letters in fields),
-        *("end_header", ""),
-    ]
-    return "\n".join(lines).encode("ascii")
+def float_columns(table: NDArray[Any], names: Sequence[str]) -> NDArray[np.float32]:
+    """Returns some columns of a structured array as float32 [rows, columns]. Larger numbers become infinite."""
+    out = np.empty((len(table), len(names)), np.float32)
+    with np.errstate(over="ignore"):
+        for i, name in enumerate(names):
+            out[:, i] = table[name]
+    return out
 
 
-def ply_bytes(table: NDArray[Any], *comments: str) -> bytes:
-    """Returns a binary little-endian file with the element vertex. table: structured, little endian, [rows]."""
-    return ply_header(table.dtype, prod(table.shape), *comments) + table.tobytes()
+def ply_header(elements: Mapping[str, tuple[np.dtype[Any], int]], *comments: str) -> bytes:
+    """Returns the header of a binary little-endian file. elements: the kind and the number of rows of each, by name."""
+    lines = ["ply", "format binary_little_endian 1.0"]
+    # Viewers of 3DGS's authors read the count from the third line.
+    notes = [f"comment {comment}" for comment in comments]
+    for name, (kind, count) in elements.items():
+        lines += [f"element {name} {count}", *notes]
+        lines += [f"property {_NAMES[np.dtype(kind[field]).str[1:]]} {field}" for field in kind.names or ()]
+        notes = []
+    return "\n".join([*lines, "end_header", ""]).encode("ascii")
 
 
-def _header(path: Path, file: BinaryIO) -> tuple[str, list[_Element]]:
-    """Returns the byte order, empty for text, and the elements, and leaves the file at the first byte after them."""
+def ply_bytes(elements: Mapping[str, NDArray[Any]], *comments: str) -> bytes:
+    """Returns a binary little-endian file. elements: structured arrays [rows], little endian, by name."""
+    header = ply_header({name: (table.dtype, len(table)) for name, table in elements.items()}, *comments)
+    return header + b"".join(table.tobytes() for table in elements.values())
+
+
+def _header(file: BinaryIO, size: int) -> tuple[str, list[_Element]]:
+    """Returns the byte order, empty for text, and the elements, and leaves the file at the first byte after them.
+
+    size: of the whole file, bytes.
+    """
     formats: list[str] = []
     elements: list[_Element] = []
     for line in _header_lines(file)[1:-1]:
@@ -154,7 +174,7 @@ def _header(path: Path, file: BinaryIO) -> tuple[str, list[_Element]]:
         raise PlyError(f"its format must be one of {', '.join(_FORMATS)}")
     order = _FORMATS[formats[0]]
     # A last line of text may end with the file.
-    if path.stat().st_size - file.tell() + (not order) < sum(element.size(not order) for element in elements):
+    if size - file.tell() + (not order) < sum(element.size(not order) for element in elements):
         raise PlyError("it has fewer bytes than the rows that it states")
     return order, elements
 

@@ -1,8 +1,9 @@
-"""Whether an optional file exists, is missing, or is something else."""
+"""Whether an optional file exists, is missing, or is something else; and the bytes of a large file."""
 
 from __future__ import annotations
 
 import errno
+import mmap
 import os
 import stat
 from pathlib import Path
@@ -46,3 +47,9 @@ def is_there(path: Path, kind: int = stat.S_IFREG) -> bool:
     if found != kind:
         raise NotAFileError(f"it is {_KINDS.get(found, 'a file')}, not a {wanted}")
     return True
+
+
+def mapped(path: Path) -> mmap.mmap | bytes:
+    """Returns the bytes of a file, which are read when they are used. Raises OSError."""
+    with path.open("rb") as file:
+        return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) if os.fstat(file.fileno()).st_size else b""

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..bitstream.attributes import SCALINGS
 from ..bitstream.reconstruction import Reconstruction
-from ..files.ply import PlyError, names_of, ply_header, read_ply
+from ..files.ply import PlyError, float_columns, names_of, ply_header, read_ply
 from ..files.stage import new_file
 from .layout import MASK_LOGIT_MIN, SceneFolderError, there
 
@@ -57,7 +57,7 @@ class CloudFile:
     def __init__(self, file: BinaryIO, count: int, offset_count: int, features: int) -> None:
         """Writes the header. count: N, the number of anchors. features: F. Raises OSError."""
         row = np.dtype([(name, "<f4") for name in ply_properties(offset_count, features)])
-        file.write(ply_header(row, count))
+        file.write(ply_header({"vertex": (row, count)}))
         self._file = file
 
     def add(self, r: Reconstruction, masks: NDArray[np.bool_]) -> None:
@@ -120,10 +120,7 @@ class Columns:
 
     def array(self, names: Sequence[str]) -> NDArray[np.float32]:
         """Returns some properties as float32 [N, columns]."""
-        out = np.empty((self.count, len(names)), np.float32)
-        for i, name in enumerate(names):
-            out[:, i] = self.data[name]
-        return out
+        return float_columns(self.data, names)
 
 
 def read_cloud(path: str | Path) -> AnchorCloud:

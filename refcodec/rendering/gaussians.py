@@ -15,9 +15,10 @@ from ..bitstream.reconstruction import Reconstruction, reconstruct
 from ..bitstream.reconstruction import gaussians as splat_of
 from ..bitstream.scene import Scene
 from ..bitstream.splat import HARMONICS, LENGTHS, LOGIT, MEAN, QUATERNION
+from ..formats.harmonics import harmonics
+from ..formats.splats import Splats
 from ..statuses import UsageError
 from .camera import Camera
-from .harmonics import degree_of, harmonics
 
 # SPEC 6.5: the render model of 14.3.
 VIEW_DEPENDENT = 0
@@ -144,28 +145,44 @@ def gaussians_of(scene: Scene, camera: Camera, values: Reconstruction | None = N
     check_render_model(scene.render)
     found = reconstruct(scene) if values is None else values
     if scene.render.render_model == STATIC:
-        return static_gaussians(splat_of(scene, found), scene.masks, camera)
+        return static_gaussians(static_splats(scene, found), scene.masks, camera)
     return gaussians(found, scene.masks, scene.networks, camera, scene.render.distance_unit)
+
+
+# SPEC 9.4
+def static_splats(scene: Scene, values: Reconstruction | None = None) -> Splats:
+    """Returns the Gaussians of a static scene, exactly as it decodes, in the order of anchors and offsets.
+
+    values: those of the scene, if known. Raises RenderModelError for another scene.
+    """
+    check_static(scene.render)
+    numbers = splat_of(scene, values)
+    outputs = numbers.shape[1] - HARMONICS.start
+    coefficients = numbers[:, HARMONICS].reshape(len(numbers), outputs // 3, 3)
+    parts = (
+        *(numbers[:, MEAN], coefficients[:, 0], coefficients[:, 1:]),
+        *(numbers[:, LOGIT], numbers[:, LENGTHS], numbers[:, QUATERNION]),
+    )
+    return Splats(*map(np.ascontiguousarray, parts))
 
 
 @np.errstate(over="ignore", invalid="ignore")
 def static_gaussians(
-    numbers: NDArray[Any], masks: NDArray[np.bool_], camera: Camera, dtype: DTypeLike = np.float32
+    splats: Splats, masks: NDArray[np.bool_], camera: Camera, dtype: DTypeLike = np.float32
 ) -> Gaussians:
     """SPEC 14.6, STATIC_GAUSSIAN: returns the Gaussians of a static scene for a camera, in the order of 9.4.
 
-    numbers: of the Gaussians (refcodec.bitstream.splat). masks: bool [N, K]. dtype: as for gaussians.
+    splats: its Gaussians. masks: bool [N, K]. dtype: as for gaussians.
     """
     anchor, offset = np.nonzero(masks)
-    coefficients = numbers[:, HARMONICS].reshape(len(numbers), (numbers.shape[1] - HARMONICS.start) // 3, 3)
-    values = harmonics(numbers[:, MEAN], camera.centre, degree_of(coefficients.shape[1] - 1))
-    quaternion = numbers[:, QUATERNION].astype(dtype)
+    values = harmonics(splats.mean, camera.centre, splats.degree)
+    quaternion = splats.quaternion.astype(dtype)
     return Gaussians(
-        numbers[:, MEAN].astype(dtype),
-        np.exp(numbers[:, LENGTHS].astype(dtype)),
+        splats.mean.astype(dtype),
+        np.exp(splats.scale.astype(dtype)),
         quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True),
-        _logistic(numbers[:, LOGIT].astype(dtype)),
-        np.maximum(0.5 + np.einsum("nc,ncx->nx", values, coefficients), 0).astype(dtype),
+        _logistic(splats.opacity.astype(dtype)),
+        np.maximum(0.5 + np.einsum("nc,ncx->nx", values, splats.coefficients), 0).astype(dtype),
         anchor,
         offset,
     )

@@ -20,10 +20,11 @@ from numba import parallel_chunksize
 from numpy.typing import ArrayLike
 
 from ..bitstream.header import RenderInfo
+from ..formats.splats import Splats
 from .blending import blend_tiles, unblend_tiles
 from .camera import Camera, check_camera
 from .constants import F32, I32, I64, TILE_HEIGHT, TILE_WIDTH
-from .gaussians import Gaussians
+from .gaussians import Gaussians, static_gaussians
 from .projection import lens_of, project_gaussians, unproject_gaussians, view_of
 from .tiles import LIST_MAX, PAIRS_MAX, list_tiles, sort_by_depth
 
@@ -234,10 +235,20 @@ def rasterise_backward(
     )
 
 
+def settings_of(info: RenderInfo) -> Settings:
+    """Returns the render settings of a scene (SPEC 6.5)."""
+    red, green, blue = (value / 255 for value in info.background)
+    return Settings(info.low_pass, info.near_plane, info.alpha_max, (red, green, blue))
+
+
+def draw(splats: Splats, camera: Camera, settings: Settings) -> Rendering:
+    """Draws plain Gaussians, as 3DGS programs do. Raises ValueError as rasterise."""
+    g = static_gaussians(splats, np.ones((len(splats.mean), 1), bool), camera)
+    return rasterise(g.mean, g.quaternion, g.lengths, g.opacity, g.colour, camera, settings)
+
+
 def image(g: Gaussians, camera: Camera, info: RenderInfo) -> F32:
     """SPEC 14.5: returns the image of a camera, f32[H,W,3], 1 for white. Raises ValueError as rasterise."""
-    red, green, blue = info.background
-    settings = Settings(info.low_pass, info.near_plane, info.alpha_max, (red / 255, green / 255, blue / 255))
-    made = rasterise(g.mean, g.quaternion, g.lengths, g.opacity, g.colour, camera, settings).image
+    made = rasterise(g.mean, g.quaternion, g.lengths, g.opacity, g.colour, camera, settings_of(info)).image
     # SPEC 14.6: harmonics can give colours above 1.
     return np.minimum(made, np.float32(1))

@@ -17,11 +17,11 @@ from ..bitstream.dimensions import RENDERING, STATIC
 from ..bitstream.header import RenderInfo
 from ..bitstream.networks import Layer
 from ..bitstream.reconstruction import Reconstruction, reconstruct
-from ..bitstream.reconstruction import gaussians as splat_of
 from ..bitstream.scene import Scene
 from ..folder.uncompressed import Uncompressed
+from ..formats.splats import Splats
 from .camera import Camera, axis_direction, check_camera, default_camera, looking, scene_up
-from .gaussians import Gaussians, check_render_model, gaussians, static_gaussians
+from .gaussians import Gaussians, check_render_model, gaussians, static_gaussians, static_splats
 from .rasterise import image
 
 F32 = NDArray[np.float32]
@@ -53,7 +53,8 @@ class View:
     """A scene that cameras look at.
 
     info: its render information. camera: its default view. up: a unit vector, float64 [3] (scene_up). values: its
-    float32 values. masks: bool [N, K]. networks: the rendering networks. Raises RenderModelError.
+    float32 values. masks: bool [N, K]. networks: the rendering networks. splats: the Gaussians of a static scene, else
+    None. Raises RenderModelError.
     """
 
     info: RenderInfo
@@ -62,7 +63,7 @@ class View:
     up: F64
     values: Reconstruction
     networks: dict[str, list[Layer]]
-    splat: F32 | None
+    splats: Splats | None
 
     def __init__(self, scene: Scene | Uncompressed) -> None:
         check_render_model(scene.render)
@@ -70,14 +71,14 @@ class View:
         self.up = scene_up(self.info.up_axis, stated_cameras(scene))
         self.values = reconstruct(scene) if isinstance(scene, Scene) else scene.values
         self.networks = {name: scene.networks[name] for name in RENDERING}
-        self.splat = None
+        self.splats = None
         if isinstance(scene, Scene) and self.info.render_model == STATIC:
-            self.splat = splat_of(scene, self.values)
+            self.splats = static_splats(scene, self.values)
 
     def gaussians(self, camera: Camera) -> Gaussians:
         """Returns the Gaussians for a camera (SPEC 14.3, 14.6)."""
-        if self.splat is not None:
-            return static_gaussians(self.splat, self.masks, camera)
+        if self.splats is not None:
+            return static_gaussians(self.splats, self.masks, camera)
         return gaussians(self.values, self.masks, self.networks, camera, self.info.distance_unit)
 
     def draw(self, camera: Camera) -> F32:

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from ..rendering.harmonics import ZERO, degree_of, rest_harmonics
+from ..formats.harmonics import ZERO, degree_of, rest_harmonics
 
 
 def harmonics_torch(away: Tensor, count: int) -> Tensor:

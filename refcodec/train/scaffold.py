@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from ..bitstream.dimensions import RENDERING
+from ..formats.harmonics import DEGREE_MAX
 from ..photographs.photographs import PhotographSet
 from ..rendering.camera import Camera
 from ..rendering.constants import ALPHA_MIN
 from ..rendering.gaussians import check_view_dependent
-from ..rendering.harmonics import DEGREE_MAX
 from .continued import Beginning, beginning
 from .fit_input import Given
 from .rate_model.columns import Columns

@@ -15,8 +15,8 @@ pytest.importorskip("matplotlib")
 
 import torch
 
+from refcodec.formats.harmonics import REST
 from refcodec.photographs.photographs import PhotographSet, read_photographs
-from refcodec.rendering.harmonics import REST
 
 CALITERRA = Path(__file__).resolve().parents[2] / "examples" / "photographs" / "caliterra"
 

@@ -28,7 +28,7 @@ def test_spz_and_sog(source: Source, tmp_path: Path, monkeypatch: pytest.MonkeyP
         (file,) = tmp_path.glob(f"*{suffix}")
         assert record["bytes"] == file.stat().st_size
         assert 30 < record["psnr"] < 70
-    monkeypatch.setattr(converted, "splat_file", None)
+    monkeypatch.setattr(converted, "write_splats", None)
     assert packed_record(source, ".spz", OWN, tmp_path) == found[".spz"]
 
 

@@ -8,7 +8,6 @@ import pytest
 
 from benchmarks.exports import browser, making
 from benchmarks.exports.__main__ import main
-from refcodec.export.formats import FORMATS
 
 ROOT = Path(__file__).resolve().parents[2]
 TRAINED = ROOT / "vectors" / "valid" / "trained-caliterra.c3gs"
@@ -25,7 +24,7 @@ def test_the_command(
     lines = capsys.readouterr().out.splitlines()
     assert "### a" in lines
     rows = [line.strip("| ").split(" | ") for line in lines if line.startswith("| .")]
-    assert {row[0].split(",")[0] for row in rows} == {".c3gs", *FORMATS}
+    assert {row[0].split(",")[0] for row in rows} == {".c3gs", *making.MEASURED}
     assert [row[0] for row in rows if ".spz" in row[0]] == 2 * [".spz, 7 bits", ".spz, 8 bits"]
     # A static scene has its own degree, and no fit.
     assert [row[1] for row in rows] == ["", *5 * ["0"], "", *5 * ["2"]]

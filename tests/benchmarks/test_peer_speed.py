@@ -13,7 +13,7 @@ import torch
 from benchmarks.large import TRAINED
 from benchmarks.peers.speed import LibraryError, built, decoded, repeated, static_scene
 from refcodec.bitstream.codec import emit, parse
-from refcodec.export.splats import Splats
+from refcodec.formats.splats import Splats
 
 
 def test_a_static_scene_has_the_symbols_of_the_other(tmp_path: Path) -> None:

@@ -154,7 +154,7 @@ def test_a_scene_folder(place: Path, capsys: pytest.CaptureFixture[str]) -> None
         (["static.c3gs", "-o", "scene.ply", "--degree", "2"], "a static scene, which needs no fit: omit --degree"),
         (["static.c3gs", "-o", "scene.ply", "--cameras", "x"], "a static scene, which needs no fit: omit --cameras"),
         (["static.c3gs", "-o", "model", "--scaffold"], "render_model 1"),
-        (["static.c3gs", "--splat", "scene.c3gs"], "allowed are .ply, .spz, .sog, .glb\n"),
+        (["static.c3gs", "--splat", "scene.c3gs"], "allowed are .ply, .spz, .sog, .glb, .compressed.ply\n"),
         (["static.c3gs", "--splat", "a.ply", "-o", "folder"], "not allowed with argument"),
         (["static.c3gs", "--splat", "a.ply", "--keep-going"], "--splat writes whole files only"),
         (["static.c3gs", "--splat", "a.ply", "--chunks", "0:1"], "--splat writes whole files only"),

@@ -185,8 +185,8 @@ def more_inputs(case: Case) -> None:
         for number, layout in enumerate(("hac", "scaffold, plain")):
             family.Model(family.LAYOUTS[layout]).write(Path(f"model{number}"))
     if "a.ply" in case.words:
-        writers: Any = import_module("writers")
-        writers.write_plain(writers.made(200, 1), Path("a.ply"))
+        plain: Any = import_module("plain")
+        plain.write(plain.made(200, 1), Path("a.ply"))
     if case.words.startswith("rd"):
         finished_curve(Path("curve"))
 

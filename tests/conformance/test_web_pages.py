@@ -24,9 +24,9 @@ from benchmarks.chromium import Chromium, find
 from benchmarks.large import made_static
 from refcodec.bitstream import cameras, codec
 from refcodec.bitstream.scene import Ancillary
-from refcodec.export.glb import glb_bytes
-from refcodec.export.splats import static_splats
+from refcodec.formats.glb import glb_bytes
 from refcodec.rendering.camera import axis_direction
+from refcodec.rendering.gaussians import static_splats
 from refcodec.viewer.page import page
 
 pytestmark = [

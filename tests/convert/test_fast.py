@@ -11,7 +11,8 @@ import pytest
 for package in ("torch", "numba", "PIL", "skimage", "scipy"):
     pytest.importorskip(package)
 
-from writers import made, write_plain  # noqa: E402
+import torch  # noqa: E402
+from plain import made, write  # noqa: E402
 
 from refcodec.bitstream.codec import parse  # noqa: E402
 from refcodec.bitstream.header import RenderInfo  # noqa: E402
@@ -20,27 +21,23 @@ from refcodec.bitstream.positions import chunk_codes  # noqa: E402
 from refcodec.bitstream.reconstruction import gaussians, reconstruct  # noqa: E402
 from refcodec.bitstream.splat import OUTPUT_BITS  # noqa: E402
 from refcodec.cli.main import main  # noqa: E402
+from refcodec.convert.drawing import drawn, tensors  # noqa: E402
 from refcodec.convert.fast import Measured, coded, converted  # noqa: E402
-from refcodec.convert.importance import numbers, splats_of  # noqa: E402
+from refcodec.convert.importance import numbers, tensors_of  # noqa: E402
 from refcodec.convert.linear import hidden_units, network  # noqa: E402
-from refcodec.convert.splats import drawn, tensors  # noqa: E402
 from refcodec.convert.views import AXES, near_plane, orbit  # noqa: E402
 from refcodec.rendering.rasterise import Settings  # noqa: E402
 from refcodec.rendering.view import View  # noqa: E402
 
 
-def arrays(count: int = 300, degree: int = 2) -> dict[str, np.ndarray]:
-    return {name: values.astype(np.float32) for name, values in made(count, degree).items()}
-
-
 def test_numbers_draw_the_same() -> None:
     """Another choice of a Gaussian's axes is the same Gaussian, with a small rotation."""
-    splats = arrays()
+    splats = made()
     table = numbers(splats)
     assert np.abs(table[:, 4:7]).max() <= 1
     given = tensors(splats)
-    camera = orbit(given, AXES["-y"], 40, 3, 1)["train"][1]
-    again = splats_of(given["mean"], tensors({"table": table.astype(np.float32)})["table"])
+    camera = orbit(splats, AXES["-y"], 40, 3, 1)["train"][1]
+    again = tensors_of(given["mean"], torch.from_numpy(table.astype(np.float32)))
     first, second = (drawn(s, camera, Settings(near_plane=0.01))[0] for s in (given, again))
     assert (first - second).abs().max() < 1e-4
 
@@ -64,22 +61,21 @@ def test_a_linear_network(classes: int) -> None:
 
 def test_no_two_positions_are_equal() -> None:
     """Equal means get neighbouring cells, so that positions are packed."""
-    splats = arrays(200, 0)
-    splats["mean"][100:] = splats["mean"][:100]
+    splats = made(200, 0)
+    splats.mean[100:] = splats.mean[:100]
     table = numbers(splats)
     n = len(table)
-    found = coded(Measured(splats["mean"], table, np.ones((n, 3)), np.ones(table.shape), np.ones(n)), 1e-3)
+    found = coded(Measured(splats.mean, table, np.ones((n, 3)), np.ones(table.shape), np.ones(n)), 1e-3)
     assert len(np.unique(found.positions, axis=0)) == n
     unit = found.grid.scale_mantissa * 2.0**found.grid.scale_exponent
-    assert np.abs(found.positions - splats["mean"]).max() < 4 * unit
+    assert np.abs(found.positions - splats.mean).max() < 4 * unit
 
 
 @pytest.mark.parametrize("degree", [0, 3])
 def test_a_scene_is_as_good_as_wanted(degree: int) -> None:
-    splats = arrays(400, degree)
-    given = tensors(splats)
-    cameras = orbit(given, AXES["-y"], 48, 8, 2)
-    render = RenderInfo(near_plane=near_plane(given))
+    splats = made(400, degree)
+    cameras = orbit(splats, AXES["-y"], 48, 8, 2)
+    render = RenderInfo(near_plane=near_plane(splats))
     found = converted(splats, cameras, render, 1, 40, 20)
     assert found.whole
     assert abs(found.psnr - 40) < 1
@@ -90,13 +86,13 @@ def test_a_scene_is_as_good_as_wanted(degree: int) -> None:
     # What the decoder draws is what the search has judged.
     errors = []
     for camera in cameras["test"]:
-        truth, _, _ = drawn(given, camera, Settings(near_plane=render.near_plane))
+        truth, _, _ = drawn(tensors(splats), camera, Settings(near_plane=render.near_plane))
         errors.append(np.square(View(scene).draw(camera).clip(0, 1) - truth.clamp(0, 1).numpy()).mean())
     assert abs(np.mean(-10 * np.log10(errors)) - found.psnr) < 0.1
 
 
 def test_convert_fast(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    write_plain(made(100, 1), tmp_path / "a.ply")
+    write(made(100, 1), tmp_path / "a.ply")
     words = ["convert", str(tmp_path / "a.ply"), "-o", str(tmp_path / "a.c3gs"), "--fast"]
     small = ["--views", "8", "--size", "40", "--steps", "5"]
     assert main([*words, *small, "--psnr", "38", "--up=+z"]) == 0
@@ -110,8 +106,7 @@ def test_convert_fast(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
 
 
 def test_gaussians_in_one_place() -> None:
-    splats = arrays(50, 0)
-    splats["mean"][:] = 3
-    given = tensors(splats)
-    cameras = orbit(given, AXES["-y"], 24, 4, 1)
-    assert converted(splats, cameras, RenderInfo(near_plane=near_plane(given)), 1, 30, 2).scene.anchor_count > 0
+    splats = made(50, 0)
+    splats.mean[:] = 3
+    cameras = orbit(splats, AXES["-y"], 24, 4, 1)
+    assert converted(splats, cameras, RenderInfo(near_plane=near_plane(splats)), 1, 30, 2).scene.anchor_count > 0

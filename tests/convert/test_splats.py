@@ -13,12 +13,12 @@ import pytest
 for package in ("torch", "numba", "PIL", "skimage", "scipy"):
     pytest.importorskip(package)
 
-from writers import made, sog_entries, write_plain, write_sog  # noqa: E402
+from plain import made, write  # noqa: E402
 
 from refcodec.cli.main import main  # noqa: E402
-from refcodec.convert.splat_files import read_splats  # noqa: E402
-from refcodec.convert.splats import drawn, tensors  # noqa: E402
-from refcodec.convert.views import AXES, given, orbit, write_photographs  # noqa: E402
+from refcodec.convert.drawing import drawn, tensors  # noqa: E402
+from refcodec.convert.views import AXES, orbit, write_photographs  # noqa: E402
+from refcodec.convert.views import given as chosen  # noqa: E402
 from refcodec.folder.read import read_folder  # noqa: E402
 from refcodec.photographs.photographs import read_photographs  # noqa: E402
 from refcodec.rendering.camera import Camera  # noqa: E402
@@ -34,10 +34,9 @@ def silent(stage: str, done: int, total: int) -> None:
 
 def test_pictures_show_the_splats(tmp_path: Path) -> None:
     """Cameras and points come back from the folder, and what they see is what was drawn."""
-    write_plain(made(), tmp_path / "a.ply")
-    splats = tensors(read_splats(tmp_path / "a.ply"))
-    views = orbit(splats, AXES["-y"], 40, 6, 2)
-    write_photographs(splats, views, tmp_path / "pictures", silent, (9, 99, 0))
+    given, splats = made(), tensors(made())
+    views = orbit(given, AXES["-y"], 40, 6, 2)
+    write_photographs(given, views, tmp_path / "pictures", silent, (9, 99, 0))
     found = read_photographs(tmp_path / "pictures")
     assert (len(found.train), len(found.test)) == (6, 2)
     assert not found.random
@@ -55,9 +54,8 @@ def test_pictures_show_the_splats(tmp_path: Path) -> None:
 def test_up_is_any_direction(up: tuple[float, ...]) -> None:
     """The images of all cameras have it upwards, and the cameras look at the middle from above and from below."""
     direction = np.array(up) / np.linalg.norm(up)
-    splats = tensors({name: values.astype(np.float32) for name, values in made().items()})
-    cameras = orbit(splats, direction, 40, 12, 2)["train"]
-    heights = [float((camera.centre - splats["mean"].double().numpy().mean(axis=0)) @ direction) for camera in cameras]
+    cameras = orbit(made(), direction, 40, 12, 2)["train"]
+    heights = [float((camera.centre - made().mean.mean(axis=0)) @ direction) for camera in cameras]
     assert min(heights) < 0 < max(heights)
     for camera in cameras:
         np.testing.assert_allclose(camera.rotation @ camera.rotation.T, np.eye(3), atol=1e-9)
@@ -68,21 +66,19 @@ def test_up_is_any_direction(up: tuple[float, ...]) -> None:
 def test_given_cameras_are_spread(tmp_path: Path) -> None:
     turn = np.eye(3)
     cameras = [Camera(f"c{i}", 400, 200, 300, 310, 200, 100, turn, np.array([0, 0, i + 3.0])) for i in range(100)]
-    found = given(cameras, 16, 100)
+    found = chosen(cameras, 16, 100)
     assert [len(found[name]) for name in ("train", "test")] == [14, 2]
     assert found["train"][0].translation[2] == 3
     assert found["test"][-1].translation[2] == 102
     assert {(c.width, c.height, c.fx, c.cy) for c in found["train"]} == {(100, 50, 75, 25)}
     # One camera is to learn from.
-    assert [len(found) for found in given(cameras[:1], 16, None).values()] == [1, 0]
+    assert [len(found) for found in chosen(cameras[:1], 16, None).values()] == [1, 0]
 
 
 @pytest.mark.slow
 def test_a_file_of_splats_becomes_a_file(tmp_path: Path, capsys: Captured) -> None:
     """Around the splats, with pictures that are kept: eval compares the file with them."""
-    splats = made(200, 1)
-    splats["rest"] = splats["rest"][np.arange(200) % 50]
-    write_sog(sog_entries(splats), tmp_path / "a.sog")
+    write(made(200, 1), tmp_path / "a.sog")
     scene, pictures, file = tmp_path / "scene", tmp_path / "pictures", tmp_path / "a.c3gs"
     words = ["convert", str(tmp_path / "a.sog"), "-o", str(scene), "--views", "16", "--up=+z", *SMALL]
     assert main([*words, "--pictures", str(pictures), "--lambda", "0.01"]) == 0
@@ -104,8 +100,8 @@ def test_a_file_of_splats_becomes_a_file(tmp_path: Path, capsys: Captured) -> No
 def test_gaussians_in_one_place(tmp_path: Path, capsys: Captured) -> None:
     """They become one anchor, which has no spread of features."""
     splats = made(50, 0)
-    splats["mean"][:] = 3
-    write_plain(splats, tmp_path / "a.ply")
+    splats.mean[:] = 3
+    write(splats, tmp_path / "a.ply")
     words = ["--views", "4", "--size", "24", "--steps", "3"]
     assert main(["convert", str(tmp_path / "a.ply"), "-o", str(tmp_path / "scene"), *words]) == 0
     assert "Warning" not in capsys.readouterr().err
@@ -119,7 +115,7 @@ def test_a_training_goes_on_with_its_pictures(
     from refcodec.convert import views  # noqa: PLC0415
     from refcodec.train.trainer import Trainer  # noqa: PLC0415
 
-    write_plain(made(200, 1), tmp_path / "a.ply")
+    write(made(200, 1), tmp_path / "a.ply")
     words = [
         "convert",
         str(tmp_path / "a.ply"),
@@ -155,7 +151,7 @@ def test_the_cameras_of_a_model(tmp_path: Path, capsys: Captured) -> None:
     """3DGS writes cameras.json beside its folder point_cloud."""
     place = tmp_path / "model" / "point_cloud" / "iteration_30000"
     place.mkdir(parents=True)
-    write_plain(made(200, 0), place / "point_cloud.ply")
+    write(made(200, 0), place / "point_cloud.ply")
     own = {"width": 90, "height": 60, "fx": 80.0, "fy": 80.0, "rotation": np.eye(3).tolist()}
     cameras = [own | {"id": i, "img_name": str(i), "position": [0.1 * i, 0.0, -4.0]} for i in range(9)]
     (tmp_path / "model" / "cameras.json").write_text(json.dumps(cameras))
@@ -195,7 +191,7 @@ def test_the_cameras_of_a_model(tmp_path: Path, capsys: Captured) -> None:
 def test_wrong_use(
     words: tuple[str, ...], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Captured
 ) -> None:
-    write_plain(made(50, 0), tmp_path / "a.ply")
+    write(made(50, 0), tmp_path / "a.ply")
     for name in ("a.spz", "a.glb", "a.splat"):
         (tmp_path / name).write_bytes(b"no splats")
     (tmp_path / "model").mkdir()

@@ -20,12 +20,12 @@ from refcodec.bitstream.cameras import (  # noqa: E402
 )
 from refcodec.bitstream.codec import parse  # noqa: E402
 from refcodec.bitstream.dimensions import RENDERING  # noqa: E402
-from refcodec.export.fit import agreement, fit, render_settings  # noqa: E402
-from refcodec.export.splats import draw, opacities  # noqa: E402
+from refcodec.export.fit import agreement, fit  # noqa: E402
 from refcodec.export.views import FEW, SIDE, views_of  # noqa: E402
+from refcodec.formats.packing import opacities  # noqa: E402
 from refcodec.rendering.camera import Camera, looking, named_camera  # noqa: E402
 from refcodec.rendering.gaussians import gaussians  # noqa: E402
-from refcodec.rendering.rasterise import rasterise  # noqa: E402
+from refcodec.rendering.rasterise import draw, rasterise, settings_of  # noqa: E402
 from refcodec.rendering.view import View, own_camera  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -126,13 +126,13 @@ def test_a_drawn_splat_is_what_other_programs_draw() -> None:
     views = around(view, 4)
     splats = fit(view, views, 1, 0, quiet).splats
     dark = replace(splats, base=splats.base - 100)
-    assert draw(dark, views[0], render_settings(view)).image.max() == 0
+    assert draw(dark, views[0], settings_of(view.info)).image.max() == 0
     away = splats.mean - views[0].centre
     x, y, z = (away / np.linalg.norm(away, axis=1, keepdims=True)).T
     one = 0.48860251
     turn = one * (-y[:, None] * splats.rest[:, 0] + z[:, None] * splats.rest[:, 1] - x[:, None] * splats.rest[:, 2])
     colour = np.maximum(0.5 + 0.28209479 * splats.base + turn, 0)
-    settings = render_settings(view)
+    settings = settings_of(view.info)
     lengths = np.exp(splats.scale)
     wanted = rasterise(splats.mean, splats.quaternion, lengths, opacities(splats), colour, views[0], settings).image
     np.testing.assert_allclose(draw(splats, views[0], settings).image, wanted, atol=1e-5)

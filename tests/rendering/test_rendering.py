@@ -25,7 +25,7 @@ from refcodec.bitstream.reconstruction import gaussians as splat_of
 from refcodec.bitstream.scene import Scene
 from refcodec.cli.main import main
 from refcodec.rendering.camera import Camera, default_camera
-from refcodec.rendering.gaussians import Gaussians, gaussians, static_gaussians
+from refcodec.rendering.gaussians import Gaussians, gaussians, static_gaussians, static_splats
 from refcodec.rendering.view import View
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -373,13 +373,13 @@ def test_another_render_model_is_decoded_but_not_drawn(capsys: pytest.CaptureFix
 def test_static_gaussians_are_those_of_the_text(spec: dict, degree: int) -> None:
     """From a camera among the anchors, in both precisions. At the mean itself the direction is zero."""
     scene = parse(static.of_degree(degree)).scene
-    numbers = splat_of(scene)
+    numbers, splats = splat_of(scene), static_splats(scene)
     _, _, camera = scene_of(3)
     for place in (camera.centre, numbers[0, :3].astype(np.float64)):
         moved = replace(camera, translation=-camera.rotation @ place)
         wanted = [spec["STATIC_GAUSSIAN"](row, list(moved.centre)) for row in numbers.astype(np.float64).tolist()]
-        compared(static_gaussians(numbers, scene.masks, moved, np.float64), wanted, 1e-9)
-        compared(static_gaussians(numbers, scene.masks, moved), wanted, 1e-4)
+        compared(static_gaussians(splats, scene.masks, moved, np.float64), wanted, 1e-9)
+        compared(static_gaussians(splats, scene.masks, moved), wanted, 1e-4)
     assert len(View(scene).gaussians(camera).mean) == scene.masks.sum()
 
 

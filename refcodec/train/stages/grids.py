@@ -12,7 +12,7 @@ import numpy as np
 import torch
 
 from ...bitstream.networks import WEIGHT_MAX
-from ...rendering.harmonics import DEGREE_MAX
+from ...formats.harmonics import DEGREE_MAX
 from ..losses import photometric
 from ..scaffold import Scaffold
 from ..schedule import Clock

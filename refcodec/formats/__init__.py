@@ -1,0 +1,1 @@
+"""Files of plain 3D Gaussians: one module for each format, with its reader and its writer."""

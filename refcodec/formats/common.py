@@ -1,0 +1,113 @@
+"""What all formats share: the error of their readers, the bounds of a file, and the choices of their writers."""
+
+from __future__ import annotations
+
+import contextlib
+import mmap
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from ..bitstream.header import RenderInfo
+from ..files.documents import DocumentError, parse_json
+from ..files.ply import PlyError
+from ..files.text import printable
+from ..folder.layout import SceneFolderError
+
+# The bytes of a file.
+Data = mmap.mmap | bytes
+
+# Stands for no value.
+_REQUIRED = object()
+ADVICE = "export the splats again"
+# Maximum per file. A 3DGS scene has a few million.
+GAUSSIANS_MAX = 1 << 24
+# A file of more Gaussians must have at least a byte for each. For trained scenes, all formats have ten and more. An
+# image in one colour takes a few bytes, whatever its size.
+DENSE_MAX = 1 << 20
+# The bits of each coefficient of degree 1 and more in SPZ files. On photographs, files of 7 bits lose 0.01 dB, of 6 up
+# to 0.06, and with the 5 bits of degree 1 and the 4 of the others of Niantic's library up to 0.9
+# (benchmarks/RESULTS.md, closed studies).
+BITS_LEAST, BITS, BITS_MOST = 4, 7, 8
+
+
+@dataclass(frozen=True)
+class Options:
+    """What a file may state or choose besides the Gaussians.
+
+    up: the up axis of their world, a unit vector, float64 [3]; that of 3DGS files by default. render: the render
+    information of their scene, None if there is none. spz_bits: of each coefficient of degree 1 and more in SPZ files,
+    BITS_LEAST to BITS_MOST.
+    """
+
+    up: NDArray[np.float64] = field(default_factory=lambda: np.array([0.0, -1.0, 0.0]))
+    render: RenderInfo | None = None
+    spz_bits: int = BITS
+
+
+class ContentError(ValueError):
+    """Bytes that cannot be used. The text states the problem, without the file's name. advice: a remedy of its own."""
+
+    def __init__(self, problem: str, advice: str | None = None) -> None:
+        super().__init__(problem)
+        self.advice = advice
+
+
+@contextlib.contextmanager
+def errors_in(file: Path, advice: str = ADVICE) -> Iterator[None]:
+    """Raises SceneFolderError about a file instead of ContentError and PlyError. advice: the usual remedy."""
+    try:
+        yield
+    except PlyError as error:
+        raise SceneFolderError(file, f"it is not a readable PLY file ({printable(str(error), 120)})", advice) from None
+    except ContentError as error:
+        raise SceneFolderError(file, str(error), error.advice or advice) from None
+
+
+def check_count(count: int, size: int) -> None:
+    """Raises ContentError for no Gaussians, and for more than a file of `size` bytes may have."""
+    if not count:
+        raise ContentError("it has no Gaussians")
+    if count > GAUSSIANS_MAX:
+        raise ContentError(f"it has {count} Gaussians, but at most {GAUSSIANS_MAX} are allowed")
+    if count > max(size, DENSE_MAX):
+        raise ContentError(f"it states {count} Gaussians, but has only {size} bytes")
+
+
+class Document:
+    """A JSON text, whose values are checked when they are used. name: of the text in errors."""
+
+    def __init__(self, name: str, data: bytes, most: int) -> None:
+        """Parses a text of at most `most` bytes. Raises ContentError."""
+        self._name = name
+        try:
+            self._root = parse_json(data, most)
+        except DocumentError as error:
+            raise ContentError(f"its {name} is not JSON ({error})") from None
+
+    def get(self, path: str, form: Any, default: Any = _REQUIRED) -> Any:
+        """Returns a value as a type of msgspec.
+
+        path: the keys and the numbers in lists that lead to it, such as means/files/0; empty for all values. default:
+        for a missing value.
+        Raises ContentError for a value of another type, and for a missing one without a default.
+        """
+        value = self._root
+        for step in filter(None, path.split("/")):
+            if isinstance(value, list):
+                value = value[int(step)] if step.isdecimal() and int(step) < len(value) else _REQUIRED
+            else:
+                value = value.get(step, _REQUIRED) if isinstance(value, dict) else _REQUIRED
+        if value is _REQUIRED:
+            if default is _REQUIRED:
+                raise ContentError(f"its {self._name} has no {path}")
+            return default
+        try:
+            return msgspec.convert(value, form)
+        except msgspec.ValidationError as error:
+            raise ContentError(f"{path} in its {self._name} is wrong ({printable(str(error), 200)})") from None

@@ -1,0 +1,332 @@
+"""GLB files: glTF 2.0 with the extension KHR_gaussian_splatting of Khronos, in one binary file.
+
+Positions are those of the scene. A node turns the up axis of the scene to +y, which is up in glTF. Quaternions are
+x, y, z, w. Written numbers are float32. A file may carry a scene as a C3GS file, by the extension of spec/gltf.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import struct
+from typing import Annotated, Any
+
+import numpy as np
+from msgspec import Meta
+from numpy.typing import NDArray
+
+from .. import __version__
+from ..bitstream.cameras import rotation_matrix
+from ..bitstream.header import RenderInfo
+from ..files.outputs import Kind
+from ..files.text import printable
+from . import packing
+from .common import ContentError, Data, Document, Options, check_count
+from .harmonics import REST, ZERO
+from .splats import F64, Splats, narrowed
+
+EXTENSION, COMPRESSION = "KHR_gaussian_splatting", "KHR_gaussian_splatting_compression_c3gs"
+# SPEC 6.5, code points of ITU-T H.273: BT.709 primaries and the sRGB curve. 2 is unspecified, and means the same here.
+_PRIMARIES, _TRANSFER = (1, 2), (13, 2)
+# The kernel and the colour space, as in 3DGS.
+_SPACE = {"kernel": "ellipse", "colorSpace": "srgb_rec709_display"}
+# Maximum bytes of the JSON, and of the numbers.
+JSON_MAX, DATA_MAX = 1 << 20, 1 << 31
+# Numbers by componentType. glTF normalises integers to a span of 1.
+_TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5126: "<f4"}
+_FLOAT, _BYTE, _POINTS, _VERTICES = 5126, 5121, 0, 34962
+_WIDTHS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
+HEAD, CHUNK = struct.Struct("<4sII"), struct.Struct("<I4s")
+_START = '{"asset":{"version":"2.0","generator":"refcodec'
+KIND = Kind(
+    "a GLB file that refcodec wrote", re.compile(rb"glTF\x02\x00\x00\x00.{8}JSON" + re.escape(_START.encode()), re.S)
+)
+
+# The types of values of the JSON.
+_Size = Annotated[int, Meta(ge=0, le=DATA_MAX)]
+_Stride = Annotated[int, Meta(ge=1, le=252)]
+_Part = Annotated[float, Meta(ge=-2, le=2)]
+_Rotation = tuple[_Part, _Part, _Part, _Part]
+_Type = Annotated[int, Meta(ge=min(_TYPES), le=max(_TYPES))]
+_Attributes = dict[str, Annotated[int, Meta(ge=0)]]
+
+
+# --- reading ----------------------------------------------------------------------------------------------------------
+
+
+class _Gltf:
+    """The JSON of a file, and the bytes of its binary chunk."""
+
+    def __init__(self, data: Data) -> None:
+        """Raises ContentError."""
+        if len(data) < HEAD.size or HEAD.unpack_from(data)[:2] != (b"glTF", 2):
+            raise ContentError("it is not a GLB file of glTF 2.0")
+        text, place = _chunk(data, HEAD.size, b"JSON", JSON_MAX)
+        self.data, _ = _chunk(data, place, b"BIN\0", DATA_MAX)
+        self.root = Document("chunk JSON", text, JSON_MAX)
+
+    def primitives(self) -> list[tuple[int, str]]:
+        """Returns the paths of the primitives with Gaussians, each with the number of its mesh. Raises ContentError."""
+        get = self.root.get
+        places = [
+            (mesh, f"meshes/{mesh}/primitives/{number}")
+            for mesh in range(len(get("meshes", list[Any], [])))
+            for number in range(len(get(f"meshes/{mesh}/primitives", list[Any], [])))
+        ]
+        return [place for place in places if get(f"{place[1]}/extensions/{EXTENSION}", Any, None) is not None]
+
+    def gaussians(self) -> tuple[int, dict[str, int]]:
+        """Returns the number of the mesh that has Gaussians, and the attributes of these. Raises ContentError."""
+        places = self.primitives()
+        if len(places) != 1:
+            raise ContentError(f"it has {len(places)} primitives with {EXTENSION}, but must have exactly 1")
+        ((mesh, path),) = places
+        own = f"{path}/extensions/{EXTENSION}"
+        for name, wanted in _SPACE.items():
+            stated = self.root.get(f"{own}/{name}", str, wanted)
+            if stated != wanted:
+                raise ContentError(f"its {name} is {printable(repr(stated), 40)}, but only {wanted!r} is supported")
+        compressed = self.root.get(f"{own}/extensions", dict[str, Any], {})
+        # A C3GS file may have the Gaussians as plain numbers, too.
+        if compressed.keys() - {COMPRESSION}:
+            raise ContentError("its Gaussians are compressed by another extension, which is not supported")
+        attributes = self.root.get(f"{path}/attributes", _Attributes)
+        plain = self.root.get(f"accessors/{attributes.get('POSITION')}/bufferView", Any, None) is not None
+        if compressed and not plain:
+            raise ContentError("its Gaussians are a C3GS file, which `refcodec export FILE -o scene.c3gs` takes out")
+        return mesh, attributes
+
+    def column(self, attributes: dict[str, int], name: str, width: int, count: int | None) -> F64:
+        """Returns an attribute of the vertices, float64 [count, width]. count: None for the stated one.
+
+        Raises ContentError.
+        """
+        if name not in attributes:
+            raise ContentError(f"it has no attribute {name}")
+        get, accessor = self.root.get, f"accessors/{attributes[name]}"
+        kind = _TYPES.get(get(f"{accessor}/componentType", _Type))
+        if kind is None or _WIDTHS.get(get(f"{accessor}/type", str)) != width:
+            raise ContentError(f"its {name} does not have {width} numbers of type float, byte or short")
+        dtype = np.dtype(kind)
+        normalized = dtype.kind == "f" or get(f"{accessor}/normalized", bool, False)
+        if not normalized or get(f"{accessor}/sparse", Any, None) is not None:
+            raise ContentError(f"its {name} is sparse, or has integers that are not normalized")
+        stated = get(f"{accessor}/count", _Size)
+        if count is None:
+            check_count(stated, len(self.data))
+        elif stated != count:
+            raise ContentError(f"its {name} has {stated} rows for {count} Gaussians")
+        start, length, view = self.part(get(f"{accessor}/bufferView", _Size))
+        row = width * dtype.itemsize
+        stride, own = get(f"{view}/byteStride", _Stride, row), get(f"{accessor}/byteOffset", _Size, 0)
+        if stride < row or own + (stated - 1) * stride + row > length:
+            raise ContentError(f"its {name} lies outside its buffer view, or its rows overlap")
+        rows = np.ndarray((stated, width), dtype, self.data, start + own, (stride, dtype.itemsize))
+        if dtype.kind == "f":
+            return rows.astype(np.float64)
+        return np.maximum(rows / float(np.iinfo(dtype).max), -1.0)
+
+    def part(self, number: int) -> tuple[int, int, str]:
+        """Returns the start and the length of a buffer view in the binary chunk, and its path. Raises ContentError."""
+        get, view = self.root.get, f"bufferViews/{number}"
+        start, length = get(f"{view}/byteOffset", _Size, 0), get(f"{view}/byteLength", _Size)
+        if get(f"{view}/buffer", _Size) or get("buffers/0/uri", Any, None) is not None:
+            raise ContentError(f"its {view} is in another file, which a buffer names: use that file")
+        if start + length > len(self.data):
+            raise ContentError(f"its {view} lies outside the binary chunk")
+        return start, length, view
+
+
+def _chunk(data: Data, place: int, kind: bytes, most: int) -> tuple[bytes, int]:
+    """Returns the bytes of the chunk at a place, and the place after it. Raises ContentError."""
+    head = data[place : place + CHUNK.size]
+    length, chunk_kind = CHUNK.unpack(head) if len(head) == CHUNK.size else (0, b"")
+    start, name = place + CHUNK.size, kind.rstrip(b"\0").decode()
+    if chunk_kind != kind or start + length > len(data):
+        raise ContentError(f"its chunk {name} is missing or truncated")
+    if length > most:
+        raise ContentError(f"its chunk {name} has more than {most} bytes")
+    return data[start : start + length], start + length
+
+
+def read(data: Data) -> Splats:
+    """Returns the Gaussians of a file, in the coordinates of their mesh. Raises ContentError."""
+    gltf = _Gltf(data)
+    _, attributes = gltf.gaussians()
+    mean = gltf.column(attributes, "POSITION", 3, None)
+
+    def column(name: str, width: int) -> F64:
+        return gltf.column(attributes, f"{EXTENSION}:{name}", width, len(mean))
+
+    degree = max((d for d in range(1, len(REST)) if f"{EXTENSION}:SH_DEGREE_{d}_COEF_0" in attributes), default=0)
+    rest = np.zeros((len(mean), REST[degree], 3), np.float32)
+    with np.errstate(all="ignore"):
+        for number, name in enumerate(_coefficients(degree)):
+            rest[:, number] = column(name, 3)
+        opacity = column("OPACITY", 1)[:, 0]
+        return narrowed(
+            mean=mean,
+            base=column("SH_DEGREE_0_COEF_0", 3),
+            rest=rest,
+            opacity=np.log(opacity / (1 - opacity)),
+            scale=np.log(column("SCALE", 3)),
+            quaternion=column("ROTATION", 4)[:, [3, 0, 1, 2]],
+        )
+
+
+def read_up(data: Data) -> F64:
+    """Returns the up axis of the Gaussians of a file, a unit vector, float64 [3].
+
+    The node of the mesh turns this axis to +y, which is up in glTF. Raises ContentError.
+    """
+    gltf = _Gltf(data)
+    mesh, _ = gltf.gaussians()
+    nodes = range(len(gltf.root.get("nodes", list[Any], [])))
+    node = next((node for node in nodes if gltf.root.get(f"nodes/{node}/mesh", Any, None) == mesh), None)
+    turn = np.array(gltf.root.get(f"nodes/{node}/rotation", _Rotation, (0, 0, 0, 1)), np.float64)
+    length = np.linalg.norm(turn)
+    if not 0.9 < length < 1.1:
+        raise ContentError("the rotation of a node is not a unit quaternion")
+    up: F64 = rotation_matrix(turn[[3, 0, 1, 2]] / length)[1]
+    return up
+
+
+def read_carried(data: Data) -> bytes:
+    """Returns the C3GS file in a GLB file. It is not decoded. Raises ContentError."""
+    gltf = _Gltf(data)
+    paths = [f"{path}/extensions/{EXTENSION}/extensions/{COMPRESSION}" for _, path in gltf.primitives()]
+    carried = [path for path in paths if gltf.root.get(path, Any, None) is not None]
+    # Several primitives may show one scene.
+    numbers = {gltf.root.get(f"{path}/bufferView", _Size) for path in carried}
+    if len(numbers) != 1:
+        raise ContentError(f"it has {len(numbers)} scenes with {COMPRESSION}, but must have exactly 1")
+    start, length, _ = gltf.part(numbers.pop())
+    return gltf.data[start : start + length]
+
+
+# --- writing ----------------------------------------------------------------------------------------------------------
+
+
+def write(splats: Splats, options: Options) -> bytes:
+    """Returns a file. Raises ValueError for 4 GiB or more, and for a scene of colours that the file cannot state."""
+    if options.render:
+        check_colours(options.render)
+    return glb_bytes(splats, options.up)
+
+
+def check_colours(render: RenderInfo) -> None:
+    """Raises ValueError for a scene whose colours are not those of _SPACE."""
+    if render.colour_primaries not in _PRIMARIES or render.transfer_characteristics not in _TRANSFER:
+        raise ValueError(
+            f"its colours have primaries {render.colour_primaries} and transfer characteristics "
+            f"{render.transfer_characteristics} of ITU-T H.273, but must have 1 and 13, sRGB"
+        )
+
+
+def _coefficients(degree: int) -> list[str]:
+    """Returns the names of the attributes of harmonics of degree 1 to `degree`."""
+    return [f"SH_DEGREE_{d}_COEF_{number}" for d in range(1, degree + 1) for number in range(2 * d + 1)]
+
+
+def _attributes(splats: Splats) -> dict[str, NDArray[Any]]:
+    """Returns the vertex attributes by name, [n] or [n, parts] each.
+
+    The extension demands lengths, opacities and unit quaternions. Each is rounded once. Other numbers keep their bits.
+    """
+    opacity = packing.opacities(splats)
+    # Accessors hold only finite numbers.
+    with np.errstate(over="ignore"):
+        lengths = np.minimum(np.exp(splats.scale.astype(np.float64)), np.finfo(np.float32).max)
+    # Programs without the extension show points in this colour.
+    colour = np.clip(ZERO * splats.base.astype(np.float64) + 0.5, 0, 1)
+    # COLOR_0 is linear.
+    colour = np.where(colour <= 0.04045, colour / 12.92, ((colour + 0.055) / 1.055) ** 2.4)
+    points = np.concatenate([colour, opacity[:, None]], axis=1)
+    own = {
+        "ROTATION": splats.unit_quaternions()[:, [1, 2, 3, 0]],
+        "SCALE": lengths,
+        "OPACITY": opacity,
+        "SH_DEGREE_0_COEF_0": splats.base,
+        **dict(zip(_coefficients(splats.degree), splats.rest.swapaxes(0, 1), strict=True)),
+    }
+    return {
+        "POSITION": splats.mean.astype("<f4"),
+        "COLOR_0": packing.nearest_bytes(points * 255),
+        **{f"{EXTENSION}:{name}": values.astype("<f4") for name, values in own.items()},
+    }
+
+
+def _upright(up: F64) -> list[float]:
+    """Returns the quaternion x, y, z, w of the shortest turn that takes a unit vector to +y. It turns -y about z."""
+    x, y, z = up.tolist()
+    quaternion = np.array([-z, 0.0, x, 1 + y] if y > -1 else [0.0, 0.0, 1.0, 0.0])
+    return (quaternion / np.linalg.norm(quaternion)).tolist()
+
+
+def glb_bytes(splats: Splats, up: F64, carried: bytes | None = None, plain: bool = True) -> bytes:
+    """Returns the file.
+
+    up: the up axis of the scene, a unit vector, float64 [3]. carried: the C3GS file that decodes to these Gaussians,
+    for a file with the extension COMPRESSION. plain: whether the file has the Gaussians as plain numbers; if not, only
+    readers with that extension can read it. Raises ValueError for a file of 4 GiB or more.
+    """
+    data: list[bytes] = []
+    views: list[dict[str, Any]] = []
+    accessors: list[dict[str, Any]] = []
+    forms = {"": "SCALAR", "3": "VEC3", "4": "VEC4"}
+    attributes = _attributes(splats)
+    at = 0
+    if carried is not None:
+        # The bytes of a C3GS file are a multiple of four.
+        views.append({"buffer": 0, "byteLength": len(carried)})
+        data.append(carried)
+        at = len(carried)
+    if not plain:
+        # No attribute of Gaussians.
+        del attributes["COLOR_0"]
+    for values in attributes.values():
+        integers = values.dtype == np.uint8
+        accessor: dict[str, Any] = {
+            "componentType": _BYTE if integers else _FLOAT,
+            "count": len(values),
+            "type": forms["".join(map(str, values.shape[1:]))],
+        }
+        if integers:
+            accessor["normalized"] = True
+        if plain:
+            accessor["bufferView"] = len(views)
+            views.append({"buffer": 0, "byteOffset": at, "byteLength": values.nbytes, "target": _VERTICES})
+            data.append(np.ascontiguousarray(values).tobytes())
+            at += values.nbytes
+        accessors.append(accessor)
+    accessors[0] |= {"min": splats.mean.min(axis=0).tolist(), "max": splats.mean.max(axis=0).tolist()}
+    own: dict[str, Any] = {**_SPACE, "sortingMethod": "cameraDistance", "projection": "perspective"}
+    used = [EXTENSION]
+    if carried is not None:
+        own["extensions"] = {COMPRESSION: {"bufferView": 0}}
+        used.append(COMPRESSION)
+    primitive = {
+        "mode": _POINTS,
+        "attributes": {name: number for number, name in enumerate(attributes)},
+        "extensions": {EXTENSION: own},
+    }
+    root = {
+        "asset": {"version": "2.0", "generator": f"refcodec {__version__}"},
+        "extensionsUsed": used,
+        **({} if plain else {"extensionsRequired": used}),
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0, "rotation": _upright(up)}],
+        "meshes": [{"primitives": [primitive]}],
+        "accessors": accessors,
+        "bufferViews": views,
+        "buffers": [{"byteLength": at}],
+    }
+    text = json.dumps(root, separators=(",", ":")).encode()
+    # Every attribute has a multiple of four bytes for each Gaussian, so that only the text needs padding.
+    text += b" " * (-len(text) % 4)
+    length = HEAD.size + 2 * CHUNK.size + len(text) + at
+    if length >= 1 << 32:
+        raise ValueError(f"it would take {length} bytes, but GLB files are below 4 GiB")
+    head = HEAD.pack(b"glTF", 2, length) + CHUNK.pack(len(text), b"JSON") + text + CHUNK.pack(at, b"BIN\0")
+    return head + b"".join(data)

@@ -1,0 +1,121 @@
+"""The formats of splat files. A new format is a module and a row of FORMATS."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..files.outputs import Kind
+from ..files.present import mapped
+from ..folder.layout import SceneFolderError, there
+from . import compressed_ply, glb, ply, sog, spz
+from .common import ADVICE, ContentError, Data, Options, errors_in
+from .splats import Splats
+
+# Logits and logarithms beyond these have no effect in float32.
+LOGIT_MAX, LOGARITHM_MAX = 20.0, 40.0
+# The largest coordinate and the largest coefficient. Squares of larger ones overflow float32, or nearly so.
+LARGEST = {"mean": 1e9, "base": 1e9, "rest": 1e9}
+
+
+@dataclass(frozen=True)
+class Format:
+    """A format of splat files.
+
+    read: returns the Gaussians of a file, whose counts and lengths it checks. Raises ContentError and PlyError.
+    write: returns a file of Gaussians, of which there is at least one. Raises ValueError if it cannot hold them.
+    kind: of the written files, for output checks.
+    extra: that has the packages of the writer, None for no extra.
+    read_up: returns the up axis that a file states, a unit vector, float64 [3]; None if files state none. Errors: as
+    for read.
+    """
+
+    read: Callable[[Data], Splats]
+    write: Callable[[Splats, Options], bytes]
+    kind: Kind
+    extra: str | None = None
+    read_up: Callable[[Data], NDArray[np.float64]] | None = None
+
+
+def _read_ply(data: Data) -> Splats:
+    """Returns the Gaussians of a PLY file: both kinds often have the suffix .ply."""
+    tables = ply.tables_of(data)
+    return (compressed_ply if compressed_ply.is_compressed(tables) else ply).read(tables)
+
+
+FORMATS = {
+    ".ply": Format(_read_ply, ply.write, ply.KIND),
+    ".spz": Format(spz.read, spz.write, spz.KIND),
+    ".sog": Format(sog.read, sog.write, sog.KIND, extra="render"),
+    ".glb": Format(glb.read, glb.write, glb.KIND, read_up=glb.read_up),
+    ".compressed.ply": Format(_read_ply, compressed_ply.write, compressed_ply.KIND),
+}
+
+
+def suffix_of(file: str | Path) -> str | None:
+    """Returns the suffix of FORMATS that a file name has, the longest one if it has several; None if it has none."""
+    name = Path(file).name.lower()
+    return max((suffix for suffix in FORMATS if name.endswith(suffix)), key=len, default=None)
+
+
+def is_splat_file(file: Path) -> bool:
+    """Whether the name of a file is that of a splat file: with a suffix of FORMATS, or meta.json of a SOG folder."""
+    return file.name == sog.META or suffix_of(file) is not None
+
+
+def read_splats(file: Path) -> Splats:
+    """Returns the Gaussians of a splat file, at least one, all with finite numbers.
+
+    Raises SceneFolderError, and OSError.
+    """
+    if not there(file, ADVICE):
+        raise SceneFolderError(file, "the file does not exist", f"give a file of 3D Gaussians ({', '.join(FORMATS)})")
+    with errors_in(file):
+        if file.name == sog.META:
+            return _checked(sog.read_folder(file))
+        return _checked(FORMATS[suffix_of(file) or ""].read(mapped(file)))
+
+
+def _checked(splats: Splats) -> Splats:
+    """Returns Gaussians with bounded logits and logarithms. Raises ContentError for other numbers out of range."""
+    arrays = vars(splats) | {
+        "opacity": splats.opacity.clip(-LOGIT_MAX, LOGIT_MAX),
+        "scale": splats.scale.clip(-LOGARITHM_MAX, LOGARITHM_MAX),
+    }
+    for name, values in arrays.items():
+        if not np.isfinite(values).all():
+            raise ContentError(f"a {name} is NaN or infinite")
+        if name in LARGEST and np.abs(values).max(initial=0) > LARGEST[name]:
+            raise ContentError(f"a {name} is beyond {LARGEST[name]:g}")
+    return Splats(**arrays)
+
+
+def splats_up(file: Path) -> NDArray[np.float64]:
+    """Returns the up axis of a splat file, a unit vector, float64 [3]: the stated one, or -y as in 3DGS files.
+
+    Raises SceneFolderError, and OSError.
+    """
+    read_up = FORMATS[suffix].read_up if (suffix := suffix_of(file)) else None
+    with errors_in(file):
+        return read_up(mapped(file)) if read_up else Options().up
+
+
+def write_splats(splats: Splats, suffix: str, options: Options | None = None) -> bytes:
+    """Returns a file of Gaussians.
+
+    suffix: of FORMATS. options: None for the defaults. Raises ValueError if the format cannot hold them, and if there
+    are none, and ModuleNotFoundError without a package of the extra.
+    """
+    if not len(splats.mean):
+        raise ValueError("it has no Gaussians")
+    return FORMATS[suffix].write(splats, options or Options())
+
+
+def carried_scene(file: Path) -> bytes:
+    """Returns the C3GS file in a GLB file. It is not decoded. Raises SceneFolderError, and OSError."""
+    with errors_in(file):
+        return glb.read_carried(mapped(file))

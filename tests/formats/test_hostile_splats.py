@@ -1,0 +1,362 @@
+"""Damaged and hostile splat files: the outcome is finite Gaussians or one line, in bounded memory."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import json
+import random
+import re
+import struct
+import tracemalloc
+import zipfile
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import partial
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("PIL", reason="SOG has images")
+
+from PIL import Image
+
+from refcodec.folder.layout import SceneFolderError
+from refcodec.formats.table import FORMATS, read_splats, splats_up, write_splats
+
+FOREIGN = Path(__file__).with_name("foreign")
+SPLATS = read_splats(FOREIGN / "playbot.ply")
+COUNT = len(SPLATS.mean)
+# The bytes that a file may make Python allocate, beside its own.
+MEMORY = 16 << 20
+
+Repack = Callable[[bytes], bytes]
+
+
+def outcome(file: Path, data: bytes, read: Callable[[Path], Any] = read_splats) -> str:
+    """Reads bytes as a file. Returns the line of the refusal, or an empty string. What is read is finite."""
+    file.write_bytes(data)
+    tracemalloc.start()
+    line = ""
+    try:
+        found = read(file)
+    except SceneFolderError as error:
+        line = str(error)
+    finally:
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+    assert peak < MEMORY + 4 * len(data)
+    if line:
+        assert line.startswith(f"{file}: ")
+        assert "\n" not in line
+    elif read is read_splats:
+        assert len(found.mean)
+        assert all(np.isfinite(values).all() for values in vars(found).values())
+    return line
+
+
+# --- layers of files: what a change of bytes would not reach ----------------------------------------------------------
+
+
+def zipped(entries: dict[str, bytes], method: int = zipfile.ZIP_STORED) -> bytes:
+    archive = io.BytesIO()
+    with zipfile.ZipFile(archive, "w", method) as out:
+        for name, data in entries.items():
+            out.writestr(zipfile.ZipInfo(name), data, method)
+    return archive.getvalue()
+
+
+def entries_of(data: bytes) -> dict[str, bytes]:
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        return {name: archive.read(name) for name in archive.namelist()}
+
+
+def glb(text: bytes, body: bytes) -> bytes:
+    text += b" " * (-len(text) % 4)
+    head = struct.pack("<4sII", b"glTF", 2, 28 + len(text) + len(body))
+    return head + struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(body), b"BIN\0") + body
+
+
+def layer(suffix: str, data: bytes) -> tuple[bytes, Repack]:
+    """Returns the bytes within a file that it compresses or whose length it states, and what puts changed ones back."""
+    if suffix == ".spz" and data[:2] == b"\x1f\x8b":
+        return gzip.decompress(data), partial(gzip.compress, mtime=0)
+    if suffix == ".sog":
+        entries = entries_of(data)
+        return entries["meta.json"], lambda text: zipped(entries | {"meta.json": text})
+    if suffix == ".glb":
+        length = struct.unpack_from("<I", data, 12)[0]
+        return data[20 : 20 + length], lambda text: glb(text, data[28 + length :])
+    return data, lambda inner: inner
+
+
+def own(suffix: str) -> bytes:
+    return write_splats(SPLATS, suffix)
+
+
+SOURCES: dict[str, tuple[str, bytes]] = {suffix: (suffix, own(suffix)) for suffix in FORMATS} | {
+    name: (Path(name).suffix, (FOREIGN / name).read_bytes())
+    for name in ("playbot-plyfile.ply", "playbot-splat-transform.spz", "playbot-pygltflib.glb")
+}
+
+
+# --- the matrix -------------------------------------------------------------------------------------------------------
+
+
+def cut(_: str, data: bytes, rng: random.Random) -> Iterator[bytes]:
+    for _number in range(30):
+        yield data[: rng.randrange(len(data))]
+
+
+def changed(_: str, data: bytes, rng: random.Random) -> Iterator[bytes]:
+    for _number in range(90):
+        some = bytearray(data)
+        for _change in range(rng.randrange(1, 5)):
+            # Headers and directories are at the ends.
+            place = rng.choice([rng.randrange(len(some)), rng.randrange(min(len(some), 900)), -1 - rng.randrange(300)])
+            some[place] = rng.randrange(256)
+        yield bytes(some)
+
+
+def lengths(suffix: str, data: bytes, _: random.Random) -> Iterator[bytes]:
+    """Each number of the text, and each word of the first bytes, asks for much."""
+    inner, repack = layer(suffix, data)
+    for match in [*re.finditer(rb"[0-9]+", inner[:6000])][:30]:
+        for large in (b"4294967295", b"16777216", b"1048576", b"9" * 30):
+            yield repack(inner[: match.start()] + large + inner[match.end() :])
+    for outer, put in ((data, lambda changed: changed), (inner, repack)):
+        for place in range(0, min(len(outer), 120), 2):
+            yield put(outer[:place] + b"\xff\xff\xff\xff" + outer[place + 4 :])
+
+
+def not_finite(suffix: str, data: bytes, rng: random.Random) -> Iterator[bytes]:
+    """Numbers of the text, and words of the rest, that are NaN, infinite or nearly so."""
+    inner, repack = layer(suffix, data)
+    for match in rng.sample([*re.finditer(rb"-?[0-9]+\.[0-9e-]+|[0-9]+", inner)], 12) if suffix != ".spz" else []:
+        for text in (b"NaN", b"1e999", b"-1e38"):
+            yield repack(inner[: match.start()] + text + inner[match.end() :])
+    for form, number in product((">f", "<f"), (np.nan, np.inf, -3e38)):
+        for _number in range(10):
+            place = rng.randrange(len(data) // 2, len(data) - 4)
+            yield data[:place] + struct.pack(form, number) + data[place + 4 :]
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("harm", [cut, changed, lengths, not_finite])
+@pytest.mark.parametrize("source", SOURCES)
+def test_harm(source: str, harm: Callable[[str, bytes, random.Random], Iterator[bytes]], tmp_path: Path) -> None:
+    suffix, data = SOURCES[source]
+    if data[:4] == b"NGSP":
+        pytest.importorskip("zstandard")
+    refusals = [outcome(tmp_path / f"a{suffix}", bad) for bad in harm(suffix, data, random.Random(3))]
+    assert any(refusals)
+    assert outcome(tmp_path / f"a{suffix}", data) == ""
+
+
+# --- what is refused, with its line -----------------------------------------------------------------------------------
+
+
+def bytes_(old: bytes, new: bytes) -> Callable[[bytes], bytes]:
+    """Replaces bytes that are there."""
+
+    def change(data: bytes) -> bytes:
+        assert old in data
+        return data.replace(old, new)
+
+    return change
+
+
+def json_(path: str, value: Any) -> Callable[[bytes], bytes]:
+    """Replaces a value of a JSON text."""
+
+    def change(text: bytes) -> bytes:
+        root = json.loads(text)
+        *above, last = path.split("/")
+        node = root
+        for key in above:
+            node = node[int(key) if isinstance(node, list) else key]
+        node[int(last) if isinstance(node, list) else last] = value
+        return json.dumps(root).encode()
+
+    return change
+
+
+def at(place: int, new: bytes) -> Callable[[bytes], bytes]:
+    return lambda data: data[:place] + new + data[place + len(new) :]
+
+
+PLY, PACKED, PRIMITIVE = ".ply", ".compressed.ply", "meshes/0/primitives/0"
+OWN, SPLATTING = f"{PRIMITIVE}/extensions/KHR_gaussian_splatting", "KHR_gaussian_splatting"
+# A suffix, the change of what its file has within, and the refusal.
+REFUSED: list[tuple[str, Callable[[bytes], bytes], str]] = [
+    *((PLY, bytes_(f"float {name}\n".encode(), b"float u\n"), f"no property {name}") for name in ("x", "f_dc_2")),
+    *((PLY, bytes_(f"{name}\n".encode(), b"u\n"), f"no property {name}") for name in ("opacity", "scale_0", "rot_3")),
+    (PLY, bytes_(b"f_rest_3\n", b"g_rest_3\n"), "23 coefficients f_rest, but must have 0 or 9 or 24 or 45"),
+    (PLY, bytes_(b"element vertex", b"element face"), "no element vertex"),
+    (PLY, bytes_(b"vertex 40", b"vertex 0"), "no Gaussians"),
+    (PLY, bytes_(b"vertex 40", b"vertex 1099511627776"), "a count of at most"),
+    (PLY, lambda _: b"ply\nformat ascii 1.0\nelement vertex 4000000000\nend_header\n", "4000000000 Gaussians, but at"),
+    (PACKED, bytes_(b"element chunk 1", b"element chunc 1"), "no element chunk"),
+    (PACKED, bytes_(b"packed_scale", b"packed_scalf"), "no property packed_scale"),
+    (PACKED, bytes_(b"uint packed_color", b"float packed_color"), "no property packed_color"),
+    (PACKED, bytes_(b"float max_scale_y", b"float max_scale_v"), "no property max_scale_y"),
+    (PACKED, bytes_(b"uchar f_rest_0\n", b"uchar g_rest_0\n"), "23 coefficients f_rest"),
+    (".spz", lambda _: b"", "not an SPZ"),
+    (".spz", lambda data: data[:4], "not an SPZ"),
+    (".spz", at(0, b"PSGN"), "not an SPZ"),
+    (".spz", at(4, b"\x05"), "version 5, but only versions 1 to 4"),
+    (".spz", at(4, b"\x04"), "version 4"),
+    (".spz", at(8, b"\xff\xff\xff\xff"), "at most 16777216"),
+    (".spz", at(8, b"\0\0\0\1"), "16777216 Gaussians, but has only"),
+    (".spz", at(8, b"\0\0\x10\0"), "fewer bytes than its 1048576"),
+    (".spz", at(8, b"\0\0\0\0"), "no Gaussians"),
+    (".spz", at(12, b"\x04"), "degree 4"),
+    (".spz", at(13, b"\x18"), "24 fractional"),
+    (".spz", lambda data: data[:-1], "fewer bytes"),
+    (".sog", json_("version", 3), "version 3, but only version 2"),
+    (".sog", json_("count", 17_000_000), "17000000 Gaussians"),
+    (".sog", json_("count", 9_000_000), "9000000 Gaussians, but has only"),
+    (".sog", json_("count", 900_000), "pixels for 900000"),
+    (".sog", json_("count", "a"), "count in its meta.json is wrong (Expected `int`, got `str`)"),
+    (".sog", json_("count", -1), "count in its meta.json is wrong"),
+    (".sog", json_("means/files/0", "other.webp"), "no entry other.webp"),
+    (".sog", json_("means/files/0", 7), "means/files/0 in its meta.json is wrong"),
+    (".sog", json_("shN/bands", 4), "shN/bands in its meta.json is wrong"),
+    (".sog", json_("shN/bands", 3), "pixels"),
+    (".sog", json_("shN/bands", 1), "does not have 40 entries in rows of 64"),
+    (".sog", json_("shN/count", 20), "beyond the 20 of the palette"),
+    (".sog", json_("shN/codebook", [0.5] * 255), "length >= 256"),
+    (".sog", json_("quats", {}), "has no quats/files/0"),
+    (".sog", json_("means/mins", [0, 0]), "means/mins in its meta.json is wrong"),
+    (".sog", bytes_(b'{"version"', b'{"a" "version"'), "not JSON"),
+    (".glb", lambda text: b"{]", "chunk JSON is not JSON"),
+    (".glb", lambda text: b"[]", "0 primitives with KHR_gaussian_splatting"),
+    (".glb", json_("meshes", []), "0 primitives"),
+    (".glb", json_("meshes", {}), "meshes in its chunk JSON is wrong"),
+    (".glb", json_(f"{PRIMITIVE}/extensions", [0]), "0 primitives"),
+    (".glb", json_(f"{OWN}/kernel", "cube"), "its kernel is 'cube', but only 'ellipse'"),
+    (".glb", json_(f"{OWN}/extensions", {"spz": {}}), "another extension"),
+    (".glb", json_(f"{PRIMITIVE}/attributes", None), "attributes in its chunk JSON is wrong"),
+    (".glb", json_(f"{PRIMITIVE}/attributes/{SPLATTING}:SCALE", 2), "SCALE does not have 3 numbers"),
+    (".glb", json_(f"{PRIMITIVE}/attributes/{SPLATTING}:SCALE", 99), "no accessors/99/componentType"),
+    (".glb", json_(f"{PRIMITIVE}/attributes/POSITION", True), "attributes in its chunk JSON is wrong"),
+    (".glb", json_(f"{PRIMITIVE}/attributes", {"POSITION": 0}), "no attribute KHR_gaussian_splatting:OPACITY"),
+    (".glb", json_("accessors/0/count", 1 << 40), "accessors/0/count in its chunk JSON is wrong"),
+    (".glb", json_("accessors/0/count", 900_000), "POSITION lies outside"),
+    (".glb", json_("accessors/0/count", 0), "no Gaussians"),
+    (".glb", json_("accessors/4/count", 9), "9 rows for 40"),
+    (".glb", json_("accessors/0/componentType", 5125), "POSITION does not have 3 numbers"),
+    (".glb", json_("accessors/0/componentType", 5122), "not normalized"),
+    (".glb", json_("accessors/0/sparse", {}), "sparse"),
+    (".glb", json_("accessors/0/byteOffset", 8), "POSITION lies outside"),
+    (".glb", json_("bufferViews/0/buffer", 1), "in another file"),
+    (".glb", json_("buffers/0/uri", "a.bin"), "in another file"),
+    (".glb", json_("bufferViews/0/byteOffset", -1), "byteOffset in its chunk JSON is wrong"),
+    (".glb", json_("bufferViews/0/byteLength", 1e9), "byteLength in its chunk JSON is wrong"),
+    (".glb", json_("bufferViews/0/byteLength", 1 << 31), "outside the binary chunk"),
+    (".glb", json_("bufferViews/0/byteStride", 4), "its rows overlap"),
+]
+
+
+@pytest.mark.parametrize(("suffix", "change", "reason"), REFUSED, ids=[row[2][:40] for row in REFUSED])
+def test_refused(suffix: str, change: Callable[[bytes], bytes], reason: str, tmp_path: Path) -> None:
+    inner, repack = layer(suffix, own(suffix))
+    assert reason in outcome(tmp_path / f"a{suffix}", repack(change(inner)))
+
+
+PIXEL = io.BytesIO()
+Image.new("RGBA", (4000, 4000)).save(PIXEL, "WEBP", lossless=True)
+STREAMS, SOG_ENTRIES = SOURCES["playbot-splat-transform.spz"][1], entries_of(own(".sog"))
+# A suffix, a whole file, and the refusal; empty for none.
+FILES: list[tuple[str, bytes, str]] = [
+    (".spz", b"\x1f\x8b" + bytes(50), "gzip stream is damaged"),
+    (".spz", gzip.decompress(own(".spz")), "version 3"),
+    # A gzip bomb is not unpacked further than it states.
+    (".spz", gzip.compress(gzip.decompress(own(".spz")) + bytes(300 << 20), 1), ""),
+    (".spz", at(15, b"\xc8")(STREAMS), "it has 200 streams"),
+    (".spz", at(40, (1 << 40).to_bytes(8, "little"))(STREAMS), "stream 0 does not have"),
+    (".spz", at(16, b"\xff\xff\xff\xff")(STREAMS), "complete ones"),
+    (".spz", at(200, bytes(20))(STREAMS), "stream"),
+    (".spz", STREAMS[:-20], "stream"),
+    (".sog", b"PK\x03\x04 and nothing", "not a zip archive"),
+    (".sog", zipped(SOG_ENTRIES | {"scales.webp": b"GIF89a" + bytes(99)}), "scales.webp is neither WebP nor PNG"),
+    (".sog", zipped(SOG_ENTRIES | {"scales.webp": PIXEL.getvalue()}), "4000 x 4000 pixels for 40"),
+    (".sog", zipped(SOG_ENTRIES | {"scales.webp": SOG_ENTRIES["scales.webp"][:90]}), "scales.webp cannot be read"),
+    (".sog", zipped({"meta.json": b" " * (64 << 20)}, zipfile.ZIP_DEFLATED), "meta.json has more than"),
+    (".sog", zipped({f"{number:0100}": b"" for number in range(3000)}), "directory has more than"),
+    (".sog", zipped(SOG_ENTRIES, zipfile.ZIP_LZMA), "neither stored nor deflated"),
+    (".glb", b"", "not a GLB"),
+    (".glb", b"glTF\x01" + bytes(30), "not a GLB"),
+    (".glb", b"glTF\x02" + bytes(7), "chunk JSON is missing"),
+    (".glb", b"glTF\x02" + bytes(7) + struct.pack("<I4s", 5000, b"JSON") + bytes(99), "is missing or truncated"),
+    (".glb", glb(bytes(2 << 20), b""), "JSON has more than"),
+    (".glb", b"glTF\x02" + bytes(7) + struct.pack("<I4s2s", 2, b"JSON", b"[]"), "chunk BIN is missing"),
+]
+
+
+@pytest.mark.parametrize(("suffix", "data", "reason"), FILES, ids=[row[2][:40] for row in FILES])
+def test_files(suffix: str, data: bytes, reason: str, tmp_path: Path) -> None:
+    if data[:4] == b"NGSP":
+        pytest.importorskip("zstandard")
+    found = outcome(tmp_path / f"a{suffix}", data)
+    assert reason in found
+    assert bool(found) == bool(reason)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("name", vars(SPLATS))
+@pytest.mark.parametrize("number", [np.nan, np.inf, -1e30])
+def test_numbers_out_of_range(name: str, number: float, tmp_path: Path) -> None:
+    """They are refused by their names, but for logits and logarithms that have no effect."""
+    values = getattr(SPLATS, name).copy()
+    values.reshape(-1)[7] = number
+    found = outcome(tmp_path / "a.ply", write_splats(replace(SPLATS, **{name: values}), ".ply"))
+    if np.isnan(number) or (name == "quaternion" and np.isinf(number)) or name in ("mean", "base", "rest"):
+        assert f"a {name} is {'beyond 1e+09' if number == -1e30 else 'NaN or infinite'}" in found
+    else:
+        assert not found
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    ("low", "high", "reason"), [(np.nan, 1, "NaN"), (-3e38, 3e38, "beyond"), (3e38, 3e38, "beyond")]
+)
+def test_ranges_of_chunks(low: float, high: float, reason: str, tmp_path: Path) -> None:
+    head, body = own(PACKED).split(b"end_header\n", 1)
+    data = head + b"end_header\n" + struct.pack("<6f", *[low] * 3, *[high] * 3) + body[24:]
+    assert f"a mean is {reason}" in outcome(tmp_path / "a.ply", data)
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (json_("means/files/0", "../means_l.webp"), "no file ../means_l.webp beside it"),
+        (json_("means/files/0", "/etc/passwd"), "no file /etc/passwd beside it"),
+        (json_("means/files/0", ".."), ".. beside it is not a file: it is a directory"),
+        (json_("means/files/0", ""), "no file  beside it"),
+        (json_("means/files/0", "other.webp"), "no file other.webp beside it"),
+        (json_("means/files/0", "link.webp"), "link.webp beside it is not a file"),
+        (json_("count", 2_000_000), "2000000 Gaussians, but has only"),
+    ],
+)
+def test_folders_of_sog(change: Callable[[bytes], bytes], reason: str, tmp_path: Path) -> None:
+    for name, data in SOG_ENTRIES.items():
+        (tmp_path / name).write_bytes(data)
+    (tmp_path / "link.webp").symlink_to(tmp_path)
+    assert outcome(tmp_path / "meta.json", SOG_ENTRIES["meta.json"]) == ""
+    assert reason in outcome(tmp_path / "meta.json", change(SOG_ENTRIES["meta.json"]))
+
+
+@pytest.mark.parametrize("rotation", [[0, 0, 0], [0, 0, 0, 0], [1e200, 0, 0, 0], "up", [True, 0, 0, 1]])
+def test_nodes_that_do_not_turn(rotation: Any, tmp_path: Path) -> None:
+    inner, repack = layer(".glb", own(".glb"))
+    data = repack(json_("nodes/0/rotation", rotation)(inner))
+    assert "rotation" in outcome(tmp_path / "a.glb", data, splats_up)
+
+
+def test_a_missing_file(tmp_path: Path) -> None:
+    with pytest.raises(SceneFolderError, match="the file does not exist; give a file of 3D Gaussians"):
+        read_splats(tmp_path / "none.ply")
