@@ -43,8 +43,6 @@ if TYPE_CHECKING:
 
 # The packages of convert beyond those of the decoder.
 _PACKAGES = ("torch", "numba", "scipy", "PIL", "skimage")
-# Splat files (refcodec.formats.table), and the file of a SOG folder. Any other source is a model folder.
-_SPLATS, _SOG = (".ply", ".spz", ".sog", ".glb"), "meta.json"
 _VIEWS = 200
 # Options of a training that --fast does not have.
 _TRAINED = ("pictures", "lambda_r", "seed", "resume", "background", "holdout", "anchors", "voxel", "set")
@@ -56,7 +54,9 @@ def _convert(arguments: argparse.Namespace) -> int:
     if not splats and not source.is_dir():
         if not os.path.lexists(source):
             raise UsageError(f"{source} does not exist")
-        raise UsageError(f"{source} is neither a model folder nor a splat file ({', '.join(_SPLATS)})")
+        from ..formats.table import FORMATS
+
+        raise UsageError(f"{source} is neither a model folder nor a splat file ({', '.join(FORMATS)})")
     if splats and arguments.appearance is not None:
         raise UsageError(f"--appearance applies only to model folders: omit it for {source}")
     drawn = {
@@ -78,9 +78,12 @@ def _convert(arguments: argparse.Namespace) -> int:
 
 def _splats_of(source: Path) -> Path | None:
     """Returns the splat file of a source, or None for a model folder."""
+    from ..formats.sog import META
+    from ..formats.table import is_splat_file
+
     if source.is_dir():
-        return source / _SOG if (source / _SOG).is_file() else None
-    return source if source.suffix.lower() in _SPLATS or source.name == _SOG else None
+        return source / META if (source / META).is_file() else None
+    return source if is_splat_file(source) else None
 
 
 # --- a model of the family --------------------------------------------------------------------------------------------

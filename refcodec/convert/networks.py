@@ -41,16 +41,16 @@ def on_grids(scene: Scene, cloud: AnchorCloud) -> Scene:
 
     cloud: the anchors before rounding. A network that is already on a grid, or that no grid suits, is not changed.
     """
-    judge = _judge(scene, cloud)
-    if judge is None:
+    sample = _sample(scene, cloud)
+    if sample is None:
         return scene
     networks = dict(scene.networks)
-    shown = judge.shown(judge.coded, scene.networks)
-    most = {name: SHARE * error for name, error in _errors(judge.shown(judge.given, scene.networks), shown).items()}
+    shown = sample.shown(sample.coded, scene.networks)
+    most = {name: SHARE * error for name, error in _errors(sample.shown(sample.given, scene.networks), shown).items()}
     left = [name for name in RENDERING if any(to_grid(layer) is None for layer in scene.networks[name])]
     for bits in BITS:
         coarser = quantise_rendering(scene.networks, bits)
-        errors = _errors(shown, judge.shown(judge.coded, coarser)) if left else {}
+        errors = _errors(shown, sample.shown(sample.coded, coarser)) if left else {}
         for name in [name for name in left if errors[name] <= most[name]]:
             networks[name] = coarser[name]
             left.remove(name)
@@ -58,7 +58,7 @@ def on_grids(scene: Scene, cloud: AnchorCloud) -> Scene:
 
 
 @dataclass(frozen=True, eq=False)
-class _Judge:
+class _Sample:
     """Some anchors, with original and coded features, and the cameras that see them."""
 
     given: Reconstruction
@@ -79,7 +79,7 @@ class _Judge:
         return outputs
 
 
-def _judge(scene: Scene, cloud: AnchorCloud) -> _Judge | None:
+def _sample(scene: Scene, cloud: AnchorCloud) -> _Sample | None:
     """Returns it for a scene, None for one without anchors."""
     coded, count = reconstruct(scene), scene.anchor_count
     if not count:
@@ -90,7 +90,7 @@ def _judge(scene: Scene, cloud: AnchorCloud) -> _Judge | None:
     given, rounded = (
         Reconstruction(parts[0], features[rows], *parts[1:]) for features in (ordered.features, coded.features)
     )
-    return _Judge(given, rounded, scene.masks[rows], _cameras(scene, coded.positions), scene.render.distance_unit)
+    return _Sample(given, rounded, scene.masks[rows], _cameras(scene, coded.positions), scene.render.distance_unit)
 
 
 def _cameras(scene: Scene, positions: NDArray[np.float32]) -> list[Camera]:

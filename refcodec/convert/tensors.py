@@ -13,7 +13,7 @@ import math
 import pickle
 import pickletools
 import zipfile
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -28,8 +28,6 @@ from ..formats.common import ContentError, errors_in
 
 AGAIN = "save it again with the program that made it"
 
-# A HAC checkpoint has a hash grid of some ten megabytes besides its networks.
-FILE_MAX = 1 << 31
 # The networks of a scene have some ten tensors, whose names are a kilobyte.
 PICKLE_MAX = 1 << 20
 # Maximum fields of a module, and the maximum length of their names.
@@ -68,6 +66,8 @@ _STACKED = {
 }
 
 Parameters = dict[str, NDArray[np.float32]]
+# Returns the entry of an archive by its name and its maximum size in bytes.
+Record = Callable[[str, int], bytes]
 
 
 def read_state_dicts(file: Path, networks: Collection[str]) -> dict[str, Parameters]:
@@ -75,15 +75,12 @@ def read_state_dicts(file: Path, networks: Collection[str]) -> dict[str, Paramet
 
     networks: the wanted names. Raises SceneFolderError.
     """
-    with _opened(file) as archive:
-        loaded = _Machine(classes=False).run(_pickle(archive))
+    with _opened(file) as record:
+        loaded = _Machine(classes=False).run(record("data.pkl", PICKLE_MAX))
         if not isinstance(loaded, dict):
             raise ContentError("it holds no state dicts by name")
-        return {
-            name: _parameters(archive, f"{name}.", values)
-            for name, values in loaded.items()
-            if isinstance(name, str) and name in networks
-        }
+        wanted = [name for name in loaded if isinstance(name, str) and name in networks]
+        return {name: _parameters(record, f"{name}.", loaded[name]) for name in wanted}
 
 
 def read_torchscript(file: Path) -> Parameters:
@@ -91,54 +88,44 @@ def read_torchscript(file: Path) -> Parameters:
 
     Raises SceneFolderError.
     """
-    with _opened(file) as archive:
-        return _parameters(archive, "", dict(_fields(_Machine(classes=True).run(_pickle(archive)))))
+    with _opened(file) as record:
+        return _parameters(record, "", dict(_fields(_Machine(classes=True).run(record("data.pkl", PICKLE_MAX)))))
 
 
-def _parameters(archive: zipfile.ZipFile, network: str, values: Any) -> Parameters:
+def _parameters(record: Record, network: str, values: Any) -> Parameters:
     """Returns the tensors of a state dict. network: the start of their names in errors. Raises ContentError."""
     named = {name: value for name, value in values.items() if name != _METADATA} if isinstance(values, dict) else None
     if named is None or len(named) > TENSORS_MAX:
         raise ContentError(f"{network or 'it'} does not have at most {TENSORS_MAX} tensors by name")
-    return {str(name): _tensor(archive, f"{network}{name}", value) for name, value in named.items()}
-
-
-# --- the archive ------------------------------------------------------------------------------------------------------
+    return {str(name): _tensor(record, f"{network}{name}", value) for name, value in named.items()}
 
 
 @contextlib.contextmanager
-def _opened(file: Path) -> Iterator[zipfile.ZipFile]:
-    """Yields the archive of a file. Raises SceneFolderError, also for a ContentError inside."""
+def _opened(file: Path) -> Iterator[Record]:
+    """Yields what reads an entry of an archive, which must be uncompressed.
+
+    Its arguments are the name of the entry without the archive's own folder, and its maximum size in bytes. Raises
+    SceneFolderError, also for a ContentError inside.
+    """
     if not there(file, AGAIN):
         raise SceneFolderError(file, "the file does not exist", AGAIN)
-    if file.stat().st_size > FILE_MAX:
-        raise SceneFolderError(file, f"it has more than {FILE_MAX} bytes", "give a checkpoint of a scene")
     with errors_in(file, AGAIN), opened_zip(io.FileIO(file), "zip archive, as torch writes since 1.6") as archive:
-        names = [entry.filename for entry in archive.infolist()]
-        if len(set(names)) != len(names):
+        entries = {entry.filename.partition("/")[2]: entry for entry in archive.infolist()}
+        if len(entries) < len(archive.infolist()):
             # Readers differ in which of the two they use.
             raise ContentError("two of its entries have the same name")
-        yield archive
 
+        def record(name: str, most: int) -> bytes:
+            entry, shown = entries.get(name), printable(name, 60)
+            if entry is None:
+                raise ContentError(f"it has no entry {shown}")
+            if entry.compress_type != zipfile.ZIP_STORED or entry.file_size > most:
+                raise ContentError(f"its entry {shown} is compressed, or has more than {most} bytes")
+            return read_entry(archive, entry.filename, most)
 
-def _record(archive: zipfile.ZipFile, name: str, most: int) -> bytes:
-    """Returns an entry of an archive, which must be uncompressed and have at most `most` bytes.
-
-    name: without the archive's own folder. Raises ContentError.
-    """
-    entries = [entry for entry in archive.infolist() if entry.filename.partition("/")[2] == name]
-    if len(entries) != 1:
-        raise ContentError(f"it has {len(entries)} entries {printable(name)}, but must have exactly 1")
-    if entries[0].compress_type != zipfile.ZIP_STORED or entries[0].file_size > most:
-        raise ContentError(f"its entry {printable(name)} is compressed, or has more than {most} bytes")
-    return read_entry(archive, entries[0].filename, most)
-
-
-def _pickle(archive: zipfile.ZipFile) -> bytes:
-    stated = any(entry.filename.partition("/")[2] == "byteorder" for entry in archive.infolist())
-    if stated and _record(archive, "byteorder", 16) != b"little":
-        raise ContentError("its tensors are not little-endian")
-    return _record(archive, "data.pkl", PICKLE_MAX)
+        if "byteorder" in entries and record("byteorder", 16) != b"little":
+            raise ContentError("its tensors are not little-endian")
+        yield record
 
 
 # --- the pickle -------------------------------------------------------------------------------------------------------
@@ -320,19 +307,18 @@ def _fields(module: Any) -> Iterator[tuple[str, _Stored]]:
                 left.append((f"{prefix}{name}.", value, depth + 1))
 
 
-def _tensor(archive: zipfile.ZipFile, name: str, stored: Any) -> NDArray[np.float32]:
+def _tensor(record: Record, name: str, stored: Any) -> NDArray[np.float32]:
     """Returns a tensor, which must be contiguous. Raises ContentError."""
     name = printable(name, 60)
     kind = _TYPES.get(stored.storage) if isinstance(stored, _Stored) else None
     if kind is None or not _is_dense(stored):
         raise ContentError(f"{name} is not a dense tensor of floats of at most {TENSOR_MAX} bytes")
     count, size = math.prod(stored.shape), np.dtype(kind).itemsize
-    if not count:
-        return np.zeros(stored.shape, np.float32)
-    data = _record(archive, f"data/{stored.key}", TENSOR_MAX)
-    if len(data) < (stored.offset + count) * size:
+    data = record(f"data/{stored.key}", TENSOR_MAX) if count else b""
+    start = stored.offset * size if count else 0
+    if len(data) < start + count * size:
         raise ContentError(f"{name} has fewer bytes than its shape needs")
-    values = np.frombuffer(data, kind, count, stored.offset * size)
+    values = np.frombuffer(data, kind, count, start) if count else np.zeros(0)
     if stored.storage == _BFLOAT16:
         values = (values.astype("<u4") << 16).view("<f4")
     return values.astype(np.float32).reshape(stored.shape)
@@ -340,6 +326,7 @@ def _tensor(archive: zipfile.ZipFile, name: str, stored: Any) -> NDArray[np.floa
 
 def _is_dense(stored: _Stored) -> bool:
     """Whether the numbers of a tensor follow each other, the last side first, and are at most TENSOR_MAX bytes."""
-    wanted = [math.prod(stored.shape[number + 1 :]) for number in range(len(stored.shape))]
-    in_order = all(side == 1 or own == w for side, own, w in zip(stored.shape, stored.stride, wanted, strict=True))
-    return 4 * math.prod(stored.shape) <= TENSOR_MAX and (in_order or 0 in stored.shape)
+    sides, count = stored.shape, math.prod(stored.shape)
+    wanted = [math.prod(sides[number + 1 :]) for number in range(len(sides))]
+    in_order = all(side == 1 or own == w for side, own, w in zip(sides, stored.stride, wanted, strict=True))
+    return 4 * count <= TENSOR_MAX and (in_order or not count)

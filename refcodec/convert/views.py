@@ -50,7 +50,8 @@ TEST_EVERY = 8
 POINTS, OPAQUE = 200_000, 0.1
 AXES = {f"{sign}{axis}": (1 if sign == "+" else -1) * np.eye(3)[i] for sign in "+-" for i, axis in enumerate("xyz")}
 
-Views = Mapping[str, Sequence[Camera]]
+# Cameras by their purpose, TRAIN or TEST.
+ByPurpose = Mapping[str, Sequence[Camera]]
 
 
 def middle_and_radius(splats: Splats) -> tuple[F64, float]:
@@ -66,33 +67,17 @@ def near_plane(splats: Splats) -> float:
     return float(np.float32(min(NEAR * radius, NEAR_MAX)))
 
 
-def train_directions(count: int) -> F64:
-    """Returns unit vectors [count, 3] spread evenly over the part of the sphere between the elevations; z is up."""
-    return _directions(*spiral(count, LOWEST, HIGHEST))
-
-
-def test_directions(count: int) -> F64:
-    """Returns unit vectors [count, 3] on a spiral from the lowest to the highest elevation; z is up."""
-    share = (np.arange(count, dtype=np.float64) + 0.5) / count
-    return _directions(LOWEST + (HIGHEST - LOWEST) * share, 2 * math.pi * TURNS * share)
-
-
-def _directions(height: F64, turn: F64) -> F64:
-    flat = np.sqrt(1 - height**2)
-    return np.stack([flat * np.cos(turn), flat * np.sin(turn), height], axis=1)
-
-
 def orbit(splats: Splats, up: F64, size: int, train: int, test: int) -> dict[str, list[Camera]]:
     """Returns cameras around the splats, by purpose.
 
     up: the up axis of the world, a unit vector, float64 [3]. size: sides of the images in pixels. train, test: numbers
     of cameras.
     """
-    directions = {TRAIN: train_directions(train), TEST: test_directions(test)}
-    return {name: _cameras(splats, views, up, size, name) for name, views in directions.items()}
-
-
-def _cameras(splats: Splats, directions: F64, up: F64, size: int, name: str) -> list[Camera]:
+    share = (np.arange(test, dtype=np.float64) + 0.5) / test
+    heights_and_turns = {
+        TRAIN: spiral(train, LOWEST, HIGHEST),
+        TEST: (LOWEST + (HIGHEST - LOWEST) * share, 2 * math.pi * TURNS * share),
+    }
     middle, radius = middle_and_radius(splats)
     # Not the axis that is nearest to up.
     nearest = int(np.abs(up).argmax())
@@ -101,14 +86,16 @@ def _cameras(splats: Splats, directions: F64, up: F64, size: int, name: str) -> 
     side /= np.linalg.norm(side)
     base = np.stack([side, np.cross(up, side), up])
     focal = size / 2 / math.tan(ANGLE / 2)
-    listed = []
-    for number, direction in enumerate(directions @ base):
-        rotation = looking(-direction, up)
-        place = middle + direction * MARGIN * radius / math.sin(ANGLE / 2)
-        listed.append(
-            Camera(f"{name}/r_{number}", size, size, focal, focal, size / 2, size / 2, rotation, -rotation @ place)
-        )
-    return listed
+    groups: dict[str, list[Camera]] = {}
+    for purpose, (height, turn) in heights_and_turns.items():
+        flat = np.sqrt(1 - height**2)
+        groups[purpose] = []
+        for number, away in enumerate(np.stack([flat * np.cos(turn), flat * np.sin(turn), height], axis=1) @ base):
+            rotation, name = looking(-away, up), f"{purpose}/r_{number}"
+            place = middle + away * MARGIN * radius / math.sin(ANGLE / 2)
+            camera = Camera(name, size, size, focal, focal, size / 2, size / 2, rotation, -rotation @ place)
+            groups[purpose].append(camera)
+    return groups
 
 
 def given(cameras: Sequence[Camera], most: int, size: int | None) -> dict[str, list[Camera]]:
@@ -152,7 +139,7 @@ def _picture(splats: Tensors, camera: Camera, settings: Settings, transparent: b
 
 def write_photographs(
     splats: Splats,
-    views: Views,
+    views: ByPurpose,
     folder: Path,
     progress: Callable[[str, int, int], None],
     background: tuple[int, int, int] | None = None,

@@ -27,7 +27,6 @@ import os
 import re
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -78,15 +77,6 @@ DROP = 2.0**64
 _VIEW = 4
 
 
-@dataclass(frozen=True, eq=False)
-class _Model:
-    """A Scaffold-GS scene. features: float32 [N, width]. networks: of `width` features and hidden units."""
-
-    features: F32
-    networks: dict[str, list[Layer]]
-    width: int
-
-
 def scaffold_files(
     values: Reconstruction,
     masks: NDArray[np.bool_],
@@ -101,18 +91,16 @@ def scaffold_files(
     cameras: the first is the default view. voxel: cell size of the position lattice, world units, or None.
     """
     check_view_dependent(render)
-    model = _model(values, masks, networks, render.distance_unit)
-    modules = {name: _module(name, model.networks[name]) for name in RENDERING}
-    files = {
-        CFG_ARGS: _cfg_args(model.width, masks.shape[1], render, voxel).encode(),
+    features, wide = _widened(values, masks, networks, render.distance_unit)
+    modules, width = {name: _module(name, wide[name]) for name in RENDERING}, features.shape[1]
+    return {
+        CFG_ARGS: _cfg_args(width, masks.shape[1], render, voxel).encode(),
         CAMERAS_JSON: json.dumps([_camera(number, camera) for number, camera in enumerate(cameras)]).encode(),
-        _MODEL / "point_cloud.ply": _cloud(values, masks, model.features),
+        _MODEL / "point_cloud.ply": _cloud(values, masks, features),
+        **{_MODEL / f"{_NAMES[name]}.pt": _torch_script(modules[name], width + _VIEW) for name in modules},
+        _MODEL / "checkpoints.pth": _state_dicts(modules),
+        _MODEL / RENDER_FILE: render_document(render, cameras, voxel),
     }
-    for name, module in modules.items():
-        files[_MODEL / f"{_NAMES[name]}.pt"] = _torch_script(module, model.width + _VIEW)
-    files[_MODEL / "checkpoints.pth"] = _state_dicts(modules)
-    files[_MODEL / RENDER_FILE] = render_document(render, cameras, voxel)
-    return files
 
 
 def lattice_edge(scene: Scene) -> float | None:
@@ -153,9 +141,10 @@ def write_folder(files: Mapping[Path, bytes], folder: Path) -> None:
     exchange(folder, write, replaced, str(CFG_ARGS))
 
 
-def _model(
+def _widened(
     values: Reconstruction, masks: NDArray[np.bool_], networks: dict[str, list[Layer]], distance_unit: float
-) -> _Model:
+) -> tuple[F32, dict[str, list[Layer]]]:
+    """Returns the features of a Scaffold-GS scene [N, width], and networks of `width` features and hidden units."""
     count, own = values.features.shape
     dropped = ~masks if not masks.all() else np.zeros((count, 0), bool)
     extra = dropped.shape[1]
@@ -177,7 +166,7 @@ def _model(
             unit = np.arange(width - extra, width)
             first[unit, unit], second[np.arange(extra), unit] = 1, -DROP
         layers[name] = [(first, first_bias), (second, last_bias)]
-    return _Model(features, layers, width)
+    return features, layers
 
 
 def _module(name: str, layers: list[Layer]) -> nn.Sequential:
@@ -229,34 +218,13 @@ def _cloud(values: Reconstruction, masks: NDArray[np.bool_], features: F32) -> b
 
 def _cfg_args(width: int, offsets: int, render: RenderInfo, voxel: float | None) -> str:
     """Returns the arguments that the Scaffold-GS code evaluates, with its defaults for values that a scene lacks."""
-    arguments: dict[str, Any] = {
-        "generator": f"refcodec {__version__}",
-        "sh_degree": 3,
-        "feat_dim": width,
-        "n_offsets": offsets,
-        "voxel_size": voxel or 0.001,
-        "update_depth": 3,
-        "update_init_factor": 16,
-        "update_hierachy_factor": 4,
-        "use_feat_bank": False,
-        "source_path": "",
-        "model_path": "",
-        "images": "images",
-        "resolution": -1,
-        "white_background": render.background == (255, 255, 255),
-        "data_device": "cuda",
-        "eval": False,
-        "lod": 0,
-        "appearance_dim": 0,
-        "lowpoly": False,
-        "ds": 1,
-        "ratio": 1,
-        "undistorted": False,
-        "add_opacity_dist": True,
-        "add_cov_dist": True,
-        "add_color_dist": True,
-    }
-    return f"Namespace({', '.join(f'{name}={value!r}' for name, value in arguments.items())})"
+    return (
+        f"{_MARK} {__version__}', sh_degree=3, feat_dim={width}, n_offsets={offsets}, voxel_size={voxel or 0.001!r}, "
+        "update_depth=3, update_init_factor=16, update_hierachy_factor=4, use_feat_bank=False, source_path='', "
+        f"model_path='', images='images', resolution=-1, white_background={render.background == (255, 255, 255)}, "
+        "data_device='cuda', eval=False, lod=0, appearance_dim=0, lowpoly=False, ds=1, ratio=1, undistorted=False, "
+        "add_opacity_dist=True, add_cov_dist=True, add_color_dist=True)"
+    )
 
 
 def _camera(number: int, stated: NamedCamera) -> dict[str, Any]:

@@ -138,62 +138,47 @@ def test_anchors_off_the_lattice_have_none(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", LAYOUTS)
 def test_a_model_becomes_a_file(name: str, tmp_path: Path) -> None:
-    """One command from the converted folder to the file. What it decodes to is the model, rounded to its steps."""
+    """One command from the converted folder to the file, whose values are those of the model, rounded to its steps.
+
+    At the finest steps, its Gaussians are those of the model's program, to the steps' errors.
+    """
     model = Model(LAYOUTS[name], 300)
     model.write(tmp_path / "model")
-    scene, file, coarse = tmp_path / "scene", tmp_path / "scene.c3gs", tmp_path / "coarse.c3gs"
-    assert main(["convert", str(tmp_path / "model"), "-o", str(scene)]) == 0
-    assert main(["encode", str(scene), "-o", str(file), "--steps", "30"]) == 0
-    assert main(["decode", str(file), "-o", str(tmp_path / "decoded")]) == 0
-    coded = parse(file.read_bytes()).scene
-    plain = read_uncompressed(scene)
-    kept = plain.masks.any(axis=1)
-    found = reconstruct(coded)
-    # On the lattice positions are exact, and so they name the anchors.
-    order = np.lexsort(found.positions.T), np.lexsort(plain.values.positions[kept].T)
-    assert np.array_equal(found.positions[order[0]], plain.values.positions[kept][order[1]])
-    for kind, step in zip(("features", "scalings", "offsets"), coded.base_step, strict=True):
-        before, after = getattr(plain.values, kind)[kept][order[1]], getattr(found, kind)[order[0]]
-        assert np.abs(before - after).max() <= step * 0.501
-    assert main(["encode", str(scene), "-o", str(coarse), "--steps", "30", "--lambda", "0.064"]) == 0
-    steps = parse(coarse.read_bytes()).scene.base_step
-    np.testing.assert_allclose(steps, 4 * np.array(coded.base_step), rtol=1e-6)
-    assert coarse.stat().st_size < file.stat().st_size
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", LAYOUTS)
-def test_a_file_draws_what_the_networks_say(name: str, tmp_path: Path) -> None:
-    """At the finest rate, the Gaussians of the decoded file are those of the model's program, to the steps' errors."""
-    model = Model(LAYOUTS[name], 300)
-    model.write(tmp_path / "model")
-    scene, file = tmp_path / "scene", tmp_path / "scene.c3gs"
+    scene = tmp_path / "scene"
     words = ["--appearance", "1"] if model.embedding else []
     assert main(["convert", str(tmp_path / "model"), "-o", str(scene), *words]) == 0
-    assert main(["encode", str(scene), "-o", str(file), "--steps", "30", "--lambda", "0.000001"]) == 0
-    coded = parse(file.read_bytes()).scene
-    values, kept = reconstruct(coded), np.flatnonzero(read_uncompressed(scene).masks.any(axis=1))
-    # The model's number of each anchor of the file, by its place.
-    number = np.empty(coded.anchor_count, np.int64)
-    number[np.lexsort(values.positions.T)] = kept[np.lexsort(model.anchor[kept].T)]
-    for centre in CENTRES:
+    files = []
+    for weight in ("0.000001", "0.004", "0.064"):
+        files.append(tmp_path / f"{weight}.c3gs")
+        assert main(["encode", str(scene), "-o", str(files[-1]), "--steps", "30", "--lambda", weight]) == 0
+    fine, usual, coarse = (parse(file.read_bytes()).scene for file in files)
+    np.testing.assert_allclose(coarse.base_step, 4 * np.array(usual.base_step), rtol=1e-6)
+    assert files[0].stat().st_size > files[1].stat().st_size > files[2].stat().st_size
+    plain = read_uncompressed(scene)
+    kept = np.flatnonzero(plain.masks.any(axis=1))
+    for coded in (fine, usual):
+        values = reconstruct(coded)
+        # The model's number of each anchor of the file. Positions on the lattice are exact, and thus name the anchors.
+        number = np.empty(coded.anchor_count, np.int64)
+        number[np.lexsort(values.positions.T)] = kept[np.lexsort(plain.values.positions[kept].T)]
+        assert np.array_equal(values.positions, plain.values.positions[number])
+        for kind, step in zip(("features", "scalings", "offsets"), coded.base_step, strict=True):
+            assert np.abs(getattr(plain.values, kind)[number] - getattr(values, kind)).max() <= step * 0.501
+        if coded is usual:
+            continue
         networks = {name: coded.networks[name] for name in ("opacity", "covariance", "colour")}
-        found = gaussians(values, coded.masks, networks, camera_at(centre), coded.render.distance_unit)
-        wanted = model.gaussians(np.array(centre), model.code(1) if words else None)
-        place = {pair: i for i, pair in enumerate(zip(wanted["anchor"], wanted["offset"], strict=True))}
-        pairs = [
-            (i, place[number[anchor], offset])
-            for i, (anchor, offset) in enumerate(zip(found.anchor, found.offset, strict=True))
-            if (number[anchor], offset) in place
-        ]
-        # Those whose opacity is nearly 0 may come and go.
-        assert len(pairs) > 0.98 * max(len(wanted["mean"]), len(found.mean))
-        own, other = np.array(pairs).T
-        for kind, most in (("opacity", 0.02), ("colour", 0.02), ("mean", 0.02)):
-            error = np.abs(getattr(found, kind)[own] - wanted[kind][other])
-            assert np.sqrt((error**2).mean()) < most, kind
-        away = np.log(found.lengths[own]) - np.log(wanted["lengths"][other])
-        assert np.sqrt((away**2).mean()) < 0.02
+        for centre in CENTRES:
+            found = gaussians(values, coded.masks, networks, camera_at(centre), coded.render.distance_unit)
+            wanted = model.gaussians(np.array(centre), model.code(1) if words else None)
+            place = {pair: i for i, pair in enumerate(zip(wanted["anchor"], wanted["offset"], strict=True))}
+            named = zip(number[found.anchor], found.offset, strict=True)
+            pairs = [(i, place[pair]) for i, pair in enumerate(named) if pair in place]
+            # Those whose opacity is nearly 0 may come and go.
+            assert len(pairs) > 0.98 * max(len(wanted["mean"]), len(found.mean))
+            own, other = np.array(pairs).T
+            errors = [getattr(found, kind)[own] - wanted[kind][other] for kind in ("opacity", "colour", "mean")]
+            errors.append(np.log(found.lengths[own]) - np.log(wanted["lengths"][other]))
+            assert max(np.sqrt((error**2).mean()) for error in errors) < 0.02
 
 
 def test_scenes_of_more_than_the_format_holds(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

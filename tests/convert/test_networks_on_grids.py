@@ -26,7 +26,7 @@ from refcodec.encoder.weights import quantise_rendering  # noqa: E402
 from refcodec.rendering.camera import Camera  # noqa: E402
 from refcodec.rendering.gaussians import gaussians  # noqa: E402
 from refcodec.train.fit import fit  # noqa: E402
-from refcodec.train.fit_input import Given, read_given  # noqa: E402
+from refcodec.train.fit_input import Given  # noqa: E402
 from refcodec.train.settings import FitSettings  # noqa: E402
 
 torch.set_num_threads(1)
@@ -116,14 +116,3 @@ def test_what_is_on_a_grid_and_what_is_empty(tmp_path: Path) -> None:
     none = replace(found, cloud=replace(found.cloud, masks=np.zeros_like(found.cloud.masks)))
     empty = fit(none, FitSettings(steps=0)).scene
     assert on_grids(empty, none.cloud) is empty
-
-
-def test_a_folder_that_is_read(tmp_path: Path) -> None:
-    """What encode reads of a converted folder is what is judged."""
-    from refcodec.folder.uncompressed import write_uncompressed  # noqa: PLC0415
-
-    Model(LAYOUTS["hac"], 200).write(tmp_path / "model")
-    write_uncompressed(read_checkpoint(tmp_path / "model").scene, tmp_path / "scene")
-    found = read_given(tmp_path / "scene")
-    coarse = on_grids(fitted(found, 0.004), found.cloud)
-    assert all(to_grid(layer) for name in RENDERING for layer in coarse.networks[name])
