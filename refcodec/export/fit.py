@@ -22,6 +22,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from ..bitstream.batches import Progress
 from ..bitstream.cameras import rotation_matrix
@@ -179,27 +180,8 @@ class _Sums:
             solved[:, 1:].astype(np.float32),
             logits(self._opacity / self._area).astype(np.float32),
             (values / 2).astype(np.float32),
-            _quaternions(axes).astype(np.float32),
+            Rotation.from_matrix(axes).as_quat(scalar_first=True).astype(np.float32),
         )
-
-
-def _quaternions(rotation: F64) -> F64:
-    """Returns the unit quaternions w, x, y, z of rotations, [n, 4]. rotation: [n, 3, 3]."""
-    r = rotation
-    # Four times the products of each component with all. The row with the largest square gives the quaternion.
-    diagonal = [r[:, 0, 0], r[:, 1, 1], r[:, 2, 2]]
-    squares = [
-        1 + diagonal[0] + diagonal[1] + diagonal[2],
-        1 + diagonal[0] - diagonal[1] - diagonal[2],
-        1 - diagonal[0] + diagonal[1] - diagonal[2],
-        1 - diagonal[0] - diagonal[1] + diagonal[2],
-    ]
-    wx, wy, wz = r[:, 2, 1] - r[:, 1, 2], r[:, 0, 2] - r[:, 2, 0], r[:, 1, 0] - r[:, 0, 1]
-    xy, xz, yz = r[:, 0, 1] + r[:, 1, 0], r[:, 0, 2] + r[:, 2, 0], r[:, 1, 2] + r[:, 2, 1]
-    w, x, y, z = squares
-    products = np.moveaxis(np.array([[w, wx, wy, wz], [wx, x, xy, xz], [wy, xy, y, yz], [wz, xz, yz, z]]), -1, 0)
-    row = products[np.arange(len(r)), np.argmax(np.array(squares), axis=0)]
-    return row / np.linalg.norm(row, axis=1, keepdims=True)
 
 
 def _least_squares(

@@ -58,12 +58,6 @@ def assert_near(found: View, view: View, cameras: list[Camera], least: float) ->
     assert decibels([found.draw(c) for c in cameras], [view.draw(c) for c in cameras]) >= least
 
 
-def test_the_scene_folder(tmp_path: Path) -> None:
-    assert main(["decode", str(TRAINED), "-o", str(tmp_path / "scene")]) == 0
-    assert main(["encode", str(tmp_path / "scene"), "-o", str(tmp_path / "a.c3gs")]) == 0
-    assert (tmp_path / "a.c3gs").read_bytes() == TRAINED.read_bytes()
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("form", ["scaffold", "uncompressed"])
 def test_folders(form: str, view: View, cameras: list[Camera], tmp_path: Path) -> None:

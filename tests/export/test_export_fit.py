@@ -25,7 +25,6 @@ from refcodec.export.views import FEW, SIDE, views_of  # noqa: E402
 from refcodec.formats.packing import opacities  # noqa: E402
 from refcodec.rendering.camera import Camera, looking, named_camera  # noqa: E402
 from refcodec.rendering.gaussians import gaussians  # noqa: E402
-from refcodec.rendering.rasterise import draw, rasterise, settings_of  # noqa: E402
 from refcodec.rendering.view import View, own_camera  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -118,24 +117,6 @@ def test_more_harmonics_are_nearer() -> None:
     assert all(more > less for less, more in zip(alone, together, strict=True))
     assert alone[1] > alone[0] + 2
     assert together[3] > 38
-
-
-def test_a_drawn_splat_is_what_other_programs_draw() -> None:
-    """Its colours are cut at 0, and come from the direction from the camera to the mean."""
-    view = trained()
-    views = around(view, 4)
-    splats = fit(view, views, 1, 0, quiet).splats
-    dark = replace(splats, base=splats.base - 100)
-    assert draw(dark, views[0], settings_of(view.info)).image.max() == 0
-    away = splats.mean - views[0].centre
-    x, y, z = (away / np.linalg.norm(away, axis=1, keepdims=True)).T
-    one = 0.48860251
-    turn = one * (-y[:, None] * splats.rest[:, 0] + z[:, None] * splats.rest[:, 1] - x[:, None] * splats.rest[:, 2])
-    colour = np.maximum(0.5 + 0.28209479 * splats.base + turn, 0)
-    settings = settings_of(view.info)
-    lengths = np.exp(splats.scale)
-    wanted = rasterise(splats.mean, splats.quaternion, lengths, opacities(splats), colour, views[0], settings).image
-    np.testing.assert_allclose(draw(splats, views[0], settings).image, wanted, atol=1e-5)
 
 
 def test_what_nobody_sees_goes() -> None:
