@@ -72,12 +72,13 @@ def read_splats(file: Path) -> Splats:
 
     Raises SceneFolderError, and OSError.
     """
-    if not there(file, ADVICE):
-        raise SceneFolderError(file, "the file does not exist", f"give a file of 3D Gaussians ({', '.join(FORMATS)})")
+    if not is_splat_file(file) or not there(file, ADVICE):
+        problem = "the file does not exist" if is_splat_file(file) else "its name has no suffix of a splat file"
+        raise SceneFolderError(file, problem, f"give a file of 3D Gaussians ({', '.join(FORMATS)})")
     with errors_in(file):
-        if file.name == sog.META:
+        if (suffix := suffix_of(file)) is None:
             return _checked(sog.read_folder(file))
-        return _checked(FORMATS[suffix_of(file) or ""].read(mapped(file)))
+        return _checked(FORMATS[suffix].read(mapped(file)))
 
 
 def _checked(splats: Splats) -> Splats:

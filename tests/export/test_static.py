@@ -14,6 +14,7 @@ from refcodec.bitstream.reconstruction import gaussians
 from refcodec.bitstream.scene import Scene
 from refcodec.bitstream.splat import HARMONICS
 from refcodec.cli.main import main
+from refcodec.formats.common import Options
 from refcodec.formats.table import FORMATS, write_splats
 from refcodec.rendering.gaussians import RenderModelError, static_splats
 from refcodec.statuses import USAGE
@@ -81,10 +82,15 @@ def test_pictures_are_the_same(name: str) -> None:
 
 def test_decode_splat(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The command writes the Gaussians of refcodec.gaussians, and refuses other scenes."""
+    pytest.importorskip("PIL")
     file = VALID / "static-degree-2.c3gs"
-    outputs = [tmp_path / f"a{suffix}" for suffix in (".ply", ".glb", ".spz")]
+    outputs = [tmp_path / f"a{suffix}" for suffix in FORMATS]
     assert main(["decode", str(file), *(word for each in outputs for word in ("--splat", str(each)))]) == 0
-    assert all(f"{each.stat().st_size:,} bytes" in capsys.readouterr().out for each in outputs[:1])
+    printed = capsys.readouterr().out
+    assert all(f"{each.stat().st_size:,} bytes" in printed for each in outputs)
+    for output, (suffix, row) in zip(outputs, FORMATS.items(), strict=True):
+        assert output.read_bytes() == write_splats(refcodec.gaussians(file), suffix, Options(refcodec.decode(file).up))
+        assert row.kind.begins.match(output.read_bytes())
     found, wanted = FORMATS[".ply"].read(outputs[0].read_bytes()), refcodec.gaussians(file)
     assert all(np.array_equal(values, getattr(found, kind)) for kind, values in vars(wanted).items())
     other = str(VALID / "trained-caliterra.c3gs")

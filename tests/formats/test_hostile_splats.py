@@ -357,6 +357,9 @@ def test_nodes_that_do_not_turn(rotation: Any, tmp_path: Path) -> None:
     assert "rotation" in outcome(tmp_path / "a.glb", data, splats_up)
 
 
-def test_a_missing_file(tmp_path: Path) -> None:
-    with pytest.raises(SceneFolderError, match="the file does not exist; give a file of 3D Gaussians"):
-        read_splats(tmp_path / "none.ply")
+@pytest.mark.parametrize(
+    ("name", "reason"), [("none.ply", "the file does not exist"), ("a.txt", "its name has no suffix")]
+)
+def test_a_missing_file(name: str, reason: str, tmp_path: Path) -> None:
+    with pytest.raises(SceneFolderError, match=f"{reason}.*; give a file of 3D Gaussians"):
+        read_splats(tmp_path / name)
