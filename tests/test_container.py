@@ -157,7 +157,7 @@ def test_drawing_and_learning(contained: Run) -> None:
 @pytest.mark.slow
 def test_a_user_without_a_home_gets_no_folder_of_that_name(tmp_path: Path) -> None:
     pytest.importorskip("numba")
-    code = "import os\nos.path.expanduser = lambda path: path\nfrom refcodec.render import compiled, tiles\n"
+    code = "import os\nos.path.expanduser = lambda path: path\nfrom refcodec.rendering import compiled, tiles\n"
     code += "print(compiled.is_kept())"
     environment = {k: v for k, v in os.environ.items() if k not in ("NUMBA_CACHE_DIR", "XDG_CACHE_HOME")}
     found = subprocess.run(
