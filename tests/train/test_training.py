@@ -52,7 +52,7 @@ def test_states_that_are_refused(
     trained: Trainer, photographs: PhotographSet, small: TrainSettings, tmp_path: Path
 ) -> None:
     save(trained, tmp_path / "state")
-    with pytest.raises(ValueError, match=r"other settings; rate\.weight is 0\.004, not 0\.01$"):
+    with pytest.raises(ValueError, match=r"other settings; rate\.lambda_r is 0\.004, not 0\.01$"):
         restore(Trainer(photographs, varied(small, {"rate.lambda_r": 0.01})), tmp_path / "state")
     with pytest.raises(ValueError, match=r"other photographs$"):
         restore(Trainer(replace(photographs, train=photographs.train[1:]), small), tmp_path / "state")
