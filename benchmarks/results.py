@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-RESULTS = Path(__file__).resolve().parent / "RESULTS.md"
+ROOT = Path(__file__).resolve().parents[1]
+RESULTS = ROOT / "benchmarks" / "RESULTS.md"
 # The least number of seeds of a result.
 SEEDS = 3
 HEADING = "# Measured results\n\nEach section holds the output of the command that it names; the command rewrites it.\n"

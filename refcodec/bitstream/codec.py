@@ -28,7 +28,7 @@ from .index import chunk_floor, emit_entry, entries_start, parse_index
 from .kernel import REFUSED_FORM, REFUSED_STEPS, Anchors, NativeScene, kernel, native_scene
 from .limits import PROFILES, dimension_fault, minimal_level
 from .masks import code_masks, mask_models
-from .networks import Derive, IntNetwork, derive_networks
+from .networks import IntNetwork, derive_networks
 from .planes import assemble_planes, emit_planes
 from .positions import RAW, emit_position_model, encode_positions, first_bad, form_error, raw_positions
 from .reader import Chunk, Reader
@@ -84,15 +84,14 @@ def parse(
     progress: Progress = no_progress,
     trace: Trace | None = None,
     bounds: Bounds | None = None,
-    derive: Derive = derive_networks,
 ) -> Parsed:
     """SPEC 7.1, 10.1, 15.4 and Annex H: decodes a file. Raises BitstreamError and nothing else, whatever the bytes are.
 
     keep_going: drops each chunk with an error and lists it in damage, and continues after an error that follows the
     chunks. progress: called as work is done. trace: called for each symbol. bounds: the caller's limits; if the file
-    needs more, BoundPassedError is raised after the header checks and before any work. derive: as in Reader.
+    needs more, BoundPassedError is raised after the header checks and before any work.
     """
-    reader = Reader(WholeFile(bytes(data)), trace=trace, derive=derive)
+    reader = Reader(WholeFile(bytes(data)), trace=trace)
     if bounds:
         count = reader.header.anchor_count
         # All bytes are in memory, so chunks can be decoded in parallel.

@@ -89,9 +89,9 @@ class IntNetwork:
         self.layers = layers
         self.exact_float = float32_is_exact() if exact_float is None else exact_float
         self.block_rows = block_rows or BLOCK_ROWS
-        self._float = self.float_layers()
+        self._float = self._float_layers()
 
-    def float_layers(self) -> list[tuple[F32, F32, F32]]:
+    def _float_layers(self) -> list[tuple[F32, F32, F32]]:
         """Returns the float32 operands of each layer.
 
         They are weights [in, out], biases plus the rounding term [out], and the units of outputs [out].
@@ -158,10 +158,6 @@ def derive_networks(
                 raise BoundError(error.row, f"{name}.{index}") from None
         found[name] = IntNetwork(derived, exact_float, block_rows)
     return found
-
-
-# Converts the networks of a file to integers: derive_networks, or its counterpart on another device.
-Derive = Callable[[Mapping[str, list[Layer]]], dict[str, IntNetwork]]
 
 
 def activation(a: Int64) -> Int64:

@@ -28,7 +28,7 @@ from .header import Header, read_header
 from .index import ChunkEntry, Index, parse_index
 from .kernel import Anchors, NativeScene, Verdict, chunk_bytes, error_name, kernel, native_scene, substream_error
 from .masks import code_masks, mask_models
-from .networks import BoundError, Derive, derive_networks
+from .networks import BoundError, derive_networks
 from .planes import assemble_planes, no_planes, parse_planes
 from .positions import parse_positions, position_error, raw_numbers
 from .scene import Ancillary, Scene
@@ -73,7 +73,6 @@ class Reader:
         trace: Trace | None = None,
         bounds: Bounds | None = None,
         at_once: int = 0,
-        derive: Derive = derive_networks,
     ) -> None:
         """SPEC 10.1, PROLOGUE to DIRECTORY.
 
@@ -82,13 +81,11 @@ class Reader:
         keep_ancillary: whether ancillary sections are kept. Otherwise they are only checked. trace: called for each
         symbol, chunk by chunk. bounds: the caller's limits for a reader that holds some chunks at a time;
         BoundPassedError is raised before the bytes are read. at_once: the number of anchors decoded in parallel, if it
-        is more than a chunk. derive: converts the networks to integers, such as refcodec.train.exact_networks; the
-        native kernel is not used then.
+        is more than a chunk.
         """
         self.source, self.trace, self._keep = source, trace, keep_ancillary
         # The kernel does not report symbols to a trace.
-        self._kernel = kernel() if trace is None and derive is derive_networks else None
-        self._derive = derive
+        self._kernel = kernel() if trace is None else None
         self.header: Header = read_header(source)
         self._bounds = bounds
         if bounds:
@@ -115,7 +112,7 @@ class Reader:
         section, piece = next(pieces)
         weights = parse_weights(piece, section.mode, d, 1 << h.lanes.attribute, self.trace, self._kernel)
         try:
-            networks = self._derive(weights.networks)
+            networks = derive_networks(weights.networks)
             # SPEC [R6.8-4]
             if h.render.render_model == STATIC:
                 derive_rendering(weights.networks)

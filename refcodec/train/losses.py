@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from torch import Tensor
 
-from .cpu.dispatch import has_kernel
 from .cpu.photometric import Photometric
+from .device import has_kernel
 from .ssim import ssim_torch
 
 

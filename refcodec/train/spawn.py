@@ -5,8 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from .cpu.dispatch import has_kernel
 from .cpu.spawn import Spawn
+from .device import has_kernel
 from .harmonics import harmonics_torch
 
 Gaussians = tuple[Tensor, Tensor, Tensor, Tensor]

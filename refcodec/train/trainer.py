@@ -19,6 +19,7 @@ from ..files.interrupts import on_interrupt
 from ..folder.uncompressed import Uncompressed
 from ..photographs.photographs import PhotographSet
 from ..rendering.camera import STATED, spread_cameras
+from .device import noise_generator, training_device
 from .estimate import coded_bytes, likely_bytes, uncompressed_bytes
 from .export import coded_scene, render_info, uncompressed
 from .fit_input import Given
@@ -43,11 +44,6 @@ from .views import Views
 Watch = Callable[["Trainer"], None]
 # The name of the device's random numbers in a saved state.
 NOISE = "noise"
-
-
-def generator_on(device: torch.device) -> torch.Generator:
-    """A random number generator for tensors on a device."""
-    return torch.Generator(device)
 
 
 class Trainer:
@@ -82,13 +78,10 @@ class Trainer:
 
         Raises ValueError for photographs that do not suffice for training, and for a missing device.
         """
-        if device == "cuda" and not torch.cuda.is_available():
-            raise ValueError("there is no CUDA device")
-        self.settings, self.photographs, self.device = settings, photographs, torch.device(device)
+        self.settings, self.photographs, self.device = settings, photographs, training_device(device)
         self.given = given
         self.random = torch.Generator().manual_seed(settings.seed)
-        on_cpu = self.device.type == "cpu"
-        self.noise = self.random if on_cpu else generator_on(self.device).manual_seed(settings.seed)
+        self.noise = noise_generator(self.device, self.random, settings.seed)
         self.clock = Clock(settings.phases, settings.steps)
         self.scaffold = Scaffold(photographs, settings, self.random, self.device, given)
         self.stages: list[Stage] = []

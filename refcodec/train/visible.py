@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from ..rendering.camera import Camera
-from .cpu.dispatch import has_kernel
 from .cpu.visible import visible_rows
+from .device import has_kernel
 
 # Bounds of the anchors that a camera may see. EXTENT: deviations at which an alpha of one has fallen to 1/255. REACH: a
 # factor, for values that rounding moves. EDGE: pixels around an image, for the low-pass filter.

@@ -22,7 +22,7 @@ from hypothesis import strategies as st  # noqa: E402
 
 from refcodec.rendering.camera import Camera  # noqa: E402
 from refcodec.rendering.rasterise import Settings, rasterise, rasterise_backward  # noqa: E402
-from refcodec.train import splat  # noqa: E402
+from refcodec.train import device, splat  # noqa: E402
 from refcodec.train.cpu.photometric import Photometric, similarity  # noqa: E402
 from refcodec.train.splat import Rasterise  # noqa: E402
 
@@ -504,13 +504,13 @@ def test_what_gsplat_is_given(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setitem(sys.modules, "gsplat", SimpleNamespace(rasterization=rasterization))
     inputs = [torch.from_numpy(v) for v in scene(60, 53, camera()).values()]
-    drawn, expected = drawn_with_gradients(splat._draw_on_gpu, inputs), drawn_with_gradients(Rasterise.apply, inputs)
+    drawn, expected = drawn_with_gradients(device.draw_on_gpu, inputs), drawn_with_gradients(Rasterise.apply, inputs)
     assert drawn[2].tolist() == list(range(1, 120, 2))
     for a, b in zip(drawn[:2] + drawn[3:], expected[:2] + expected[3:], strict=True):
         assert (a - b).norm() < 1e-4 * b.norm()
     screen = torch.zeros(60, requires_grad=True)
     for calls in (1, 2):
-        image, transmittance, _ = splat._draw_on_gpu(*inputs, camera(), Settings(background=(0.1, 0.2, 0.3)), screen)
+        image, transmittance, _ = device.draw_on_gpu(*inputs, camera(), Settings(background=(0.1, 0.2, 0.3)), screen)
         (image.square().sum() + transmittance.sum()).backward()
         assert (screen.grad - calls * expected[-1]).norm() < 1e-4 * calls * expected[-1].norm()
 

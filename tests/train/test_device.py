@@ -148,11 +148,16 @@ def drawn_on_cpu(*values: Any) -> splat.Drawn:
     return image.to(DEVICE), rest.to(DEVICE), radius.to(DEVICE)
 
 
+def _noise(device: torch.device, random: torch.Generator, seed: int) -> torch.Generator:
+    """device.noise_generator, with a source of the pretended device."""
+    return random if device.type == "cpu" else Source().manual_seed(seed)
+
+
 @pytest.fixture
 def device(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     """The pretended device."""
     monkeypatch.setattr(views, "draw", drawn_on_cpu)
-    monkeypatch.setattr(trainer, "generator_on", lambda _: Source())
+    monkeypatch.setattr(trainer, "noise_generator", _noise)
     fused = optimizer._get_fused_kernels_supported_devices
     monkeypatch.setattr(optimizer, "_get_fused_kernels_supported_devices", lambda: [*fused(), DEVICE])
     with Pretending(), Made():

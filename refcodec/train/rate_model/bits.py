@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from ...bitstream.tables import SCALE_MIN
-from ..cpu.dispatch import has_kernel
+from ..device import has_kernel
 from ..settings import EntropySettings
 from .units import MEAN_UNIT, SCALE_MOST, SCALE_UNIT
 

@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from ...bitstream.networks import ACCUMULATOR_BOUND, ACTIVATION_MAX, WEIGHT_MAX, Layer, derive_layer
-from ..cpu.dispatch import has_kernel
+from ..device import has_kernel
 from ..settings import EntropySettings
 from .units import grid_through, round_through
 

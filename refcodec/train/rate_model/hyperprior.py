@@ -23,7 +23,7 @@ from ...bitstream.frame import Frame
 from ...bitstream.networks import ACTIVATION_MAX
 from ...bitstream.planes import PLANES
 from ...bitstream.positions import position_integers
-from ..cpu.dispatch import has_kernel
+from ..device import has_kernel
 from ..settings import EntropySettings
 from .units import GAMMA_UNIT, LATENT_UNIT, PLANE_SHIFT, round_through
 

@@ -16,7 +16,7 @@ from ...bitstream.attributes import KINDS, SCALINGS
 from ...bitstream.networks import ACTIVATION_MAX, Layer
 from ...bitstream.tables import STEP_LENGTH
 from ...encoder.sizes import SLICES
-from ..cpu.dispatch import has_kernel
+from ..device import has_kernel
 from ..settings import EntropySettings
 from .bits import bits_torch, laplace_bits
 from .columns import Columns

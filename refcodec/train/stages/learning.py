@@ -11,6 +11,7 @@ from torch import Tensor
 from ...bitstream.dimensions import RENDERING
 from ..adam import ADAM_EPSILON, adam_torch, added, joined
 from ..cpu.adam import F32, I64, adam_rows, share_rows
+from ..device import has_kernel
 from ..optimisers import learning_rate, moments, restore_moments
 from ..scaffold import TABLES, Scaffold
 from ..schedule import Clock
@@ -41,12 +42,11 @@ class Learning(Stage):
             {"params": scaffold.networks.parameters_of(name), "decay": getattr(settings, name)} for name in RENDERING
         ]
         self.optimiser = torch.optim.Adam(groups, eps=ADAM_EPSILON, fused=True)
-        self._compiled = scaffold.device.type == "cpu"
         self.anchors_changed()
 
     def anchors_changed(self) -> None:
-        """Allocates the place of each anchor in a step, -1 if it has none. Only the CPU uses it."""
-        self._place = np.full(self.scaffold.count if self._compiled else 0, -1, np.int64)
+        """Allocates the place of each anchor in a step, -1 if it has none. Only the kernel uses it."""
+        self._place = np.full(self.scaffold.count, -1, np.int64)
 
     def descend(self, step: Step) -> None:
         """A step of Adam."""
@@ -55,33 +55,28 @@ class Learning(Stage):
         self.optimiser.step()
         self.optimiser.zero_grad(set_to_none=True)
         rates = {name: learning_rate(getattr(self.settings, name), self.clock.share) for name in TABLES}
-        if self._compiled:
-            self._descend_on_cpu(step, rates)
-            return
+        if has_kernel(self.scaffold.tables["features"]):
+            self._descend_in_kernel(step, rates)
+        else:
+            self._descend_in_torch(step, rates)
+
+    def _descend_in_torch(self, step: Step, rates: dict[str, float]) -> None:
+        """The definition of _descend_in_kernel."""
+        # Most tables have gradients for the same sets of rows, and each union makes the CPU wait for the device.
         joints: dict[tuple[int, ...], tuple[Tensor, Tensor]] = {}
         for name, rate in rates.items():
-            self._descend_on_device(name, step, rate, joints)
+            given = [(rows, grad) for rows, leaves in step.taken if (grad := leaves[name].grad) is not None]
+            if not given:
+                continue
+            sets = tuple(id(rows) for rows, _ in given)
+            if sets not in joints:
+                joints[sets] = joined([rows for rows, _ in given])
+            rows, place = joints[sets]
+            gradient = added(place, [grad for _, grad in given], len(rows))
+            tables = (kind[name] for kind in (self.scaffold.tables, self.scaffold.first, self.scaffold.second))
+            adam_torch(*tables, self.clock.done + 1, rows, gradient, rate)
 
-    def _descend_on_device(
-        self, name: str, step: Step, rate: float, joints: dict[tuple[int, ...], tuple[Tensor, Tensor]]
-    ) -> None:
-        """_descend_on_cpu for one table, with torch.
-
-        joints: adam.joined of the step's sets of rows, by the numbers of these sets. Most tables have gradients for the
-        same sets, and each union makes the CPU wait for the device.
-        """
-        scaffold = self.scaffold
-        sets = tuple(i for i, (_, leaves) in enumerate(step.taken) if leaves[name].grad is not None)
-        if not sets:
-            return
-        if sets not in joints:
-            joints[sets] = joined([step.taken[i][0] for i in sets])
-        rows, place = joints[sets]
-        gradient = added(place, [g for i in sets if (g := step.taken[i][1][name].grad) is not None], len(rows))
-        moments = scaffold.first[name], scaffold.second[name]
-        adam_torch(scaffold.tables[name], *moments, self.clock.done + 1, rows, gradient, rate)
-
-    def _descend_on_cpu(self, step: Step, rates: dict[str, float]) -> None:
+    def _descend_in_kernel(self, step: Step, rates: dict[str, float]) -> None:
         """A step of Adam for the rows of each table that have a gradient.
 
         There are at most two sets of rows, each with an anchor at most once. The gradients of the second are added to

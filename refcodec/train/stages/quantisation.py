@@ -9,6 +9,7 @@ from torch import Tensor
 from ...bitstream.attributes import KINDS
 from ...encoder.quantise import varying
 from ..cpu.residues import Shown, Symbols
+from ..device import has_kernel
 from ..scaffold import Scaffold
 from ..schedule import Clock
 from ..settings import QuantisationSettings
@@ -59,7 +60,7 @@ class Quantisation(Stage):
 
     def symbols(self, values: list[Tensor], steps: Tensor) -> Tensor:
         """The symbols of k kinds of values, [n, w] each, with steps [n, k], noisy or rounded: [n, sum of w]."""
-        if steps.device.type == "cpu":
+        if has_kernel(steps):
             rounded: Tensor = Symbols.apply(steps, self._seed(), *values)
             return rounded
         each = [(v, steps[:, i : i + 1]) for i, v in enumerate(values)]
@@ -78,7 +79,7 @@ class Quantisation(Stage):
         if step.steps is None:
             return
         values = [step.leaves[kind] for kind in KINDS]
-        if step.steps.device.type == "cpu":
+        if has_kernel(step.steps):
             shown = Shown.apply(step.steps, self._seed(), *values)
         else:
             each = [(v, step.steps[:, i : i + 1]) for i, v in enumerate(values)]

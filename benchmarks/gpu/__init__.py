@@ -1,1 +1,0 @@
-"""A comparison of training on a GPU with training on the CPU: see __main__."""
