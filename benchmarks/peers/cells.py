@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
-from refcodec.experiments.cells import read_result
+from refcodec.experiments.cells import Result, read_result
 from refcodec.experiments.tables import MARKDOWN
 
 from .figures import Record
@@ -22,9 +21,9 @@ def experiment_name(folder: Path) -> str:
     return (folder / MARKDOWN).read_text(encoding="utf-8").splitlines()[0].removeprefix("# ")
 
 
-def results(folder: Path) -> Iterator[tuple[str, str, dict[str, Any]]]:
+def results(folder: Path) -> Iterator[tuple[str, str, Result]]:
     """Yields scene, method and result of the complete cells of an output folder of `refcodec experiment`."""
-    for place in sorted(folder.glob("cells/*/*/rate-*/seed-*")):
+    for place in sorted(folder.glob("cells/*/*/lambda-*/seed-*")):
         if (result := read_result(place)) is not None:
             yield place.parents[2].name, place.parents[1].name, result
 
@@ -35,9 +34,8 @@ def experiment_records(folder: Path) -> Iterator[Record]:
     Seconds are the processor seconds of the whole command `train`.
     """
     for scene, method, result in results(folder):
-        settings = result["definition"]["settings"]
+        settings = result.definition["settings"]
         kind = CODED if settings["rate"]["lambda_r"] else PLAIN
-        mean = result["mean"]
         yield {
             "scene": scene,
             "method": method,
@@ -46,12 +44,12 @@ def experiment_records(folder: Path) -> Iterator[Record]:
             "size": int(settings["size"]),
             "steps": settings["steps"],
             "changes": [],
-            "seconds": result["processor_seconds"]["train"],
+            "seconds": result.processor_seconds["train"],
             "files": {
                 kind if method in USUAL else f"{kind}, {method}": {
-                    "bytes": result["bytes"],
-                    "psnr": mean["psnr"],
-                    "ssim": mean["ssim"],
+                    "bytes": result.bytes,
+                    "psnr": result.mean.psnr,
+                    "ssim": result.mean.ssim,
                 }
             },
         }

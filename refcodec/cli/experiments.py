@@ -19,7 +19,7 @@ def _demo(arguments: argparse.Namespace) -> int:
     try:
         from ..experiments.data_set import DataSet
         from ..experiments.demo import STEPS, find_example, run_demo
-        from ..experiments.runs import RunError
+        from ..experiments.jobs import RunError
         from ..photographs.photographs import PhotographError
         from ..train.settings import TrainSettings
     except ModuleNotFoundError as error:
@@ -44,15 +44,15 @@ def _rd(arguments: argparse.Namespace) -> int:
     try:
         from ..experiments.command import Options
         from ..experiments.data_set import DataSet
+        from ..experiments.jobs import RunError
         from ..experiments.plan import OWN_KEYS, ExperimentError
         from ..experiments.rd import one_scene, run_rd, scene_name
-        from ..experiments.runs import RunError
         from ..photographs.photographs import PhotographError
         from ..train.settings import PRESETS
     except ModuleNotFoundError as error:
         packages = ("matplotlib", "bjontegaard", "msgspec", "torch", *RENDER_PACKAGES)
         raise needs("rd", "train,render,rd", error, packages) from None
-    train_options.refuse_rate(arguments, "use --rates")
+    train_options.refuse_rate(arguments, "use --lambdas")
     own = {"size": arguments.size, "steps": arguments.steps, "seed": arguments.seed}
     chosen = train_options.settings(arguments, PRESETS[arguments.preset], own)
     folder = Path(arguments.photographs)
@@ -72,7 +72,7 @@ def _rd(arguments: argparse.Namespace) -> int:
     try:
         # Errors in the photographs are reported before anything is written.
         places = DataSet(folder, chosen.size, chosen.background, chosen.holdout).read().places()
-        rates = sorted(set(arguments.rates))
+        rates = sorted(set(arguments.lambdas))
         experiment = one_scene(scene, arguments.preset, rates, arguments.uncompressed, **others)
         return run_rd(experiment, places, Options(Path(arguments.output), jobs=arguments.jobs), against)
     except (ExperimentError, PhotographError) as error:
@@ -85,8 +85,8 @@ def _rd(arguments: argparse.Namespace) -> int:
 def _experiment(arguments: argparse.Namespace) -> int:
     try:
         from ..experiments.command import Options, run_experiment
+        from ..experiments.jobs import RunError
         from ..experiments.plan import ExperimentError, read_experiment
-        from ..experiments.runs import RunError
     except ModuleNotFoundError as error:
         packages = ("matplotlib", "bjontegaard", "msgspec", "torch", *RENDER_PACKAGES)
         raise needs("experiment", "train,render,rd", error, packages) from None
@@ -112,28 +112,26 @@ def _experiment(arguments: argparse.Namespace) -> int:
 # Help of `experiment` on the file and the folder.
 _EXPERIMENT_NOTES = """\
 FILE is a TOML file with these keys:
-  rates, seeds          lists of lambda_r and of seeds; each method trains each scene at each pair of them
+  lambdas, seeds        lists of lambda_r and of seeds; each method trains each scene at each pair of them
   steps                 of each training (default: the preset's)
   device                cpu or cuda (default: cpu)
-  baseline              the method to which the BD-rates of the others refer
+  baseline              the method with which the others are compared: BD-rates, and differences of photographs
 It has a table [[scenes]] for each scene:
   name                  1 to 64 letters, digits and . _ + -
   photographs           a folder, relative to FILE; ${NAME} is an environment variable
-  size, background, holdout, up, voxel, anchors
-                        as for train (default: the preset's)
-  rates                 the rates of this scene
-  set                   a list of NAME=VALUE, as for train --set
-  group                 the data set of the scene; BD-rates are averaged over its scenes
+  size, holdout, up     as for train (default: the preset's)
+  lambdas               those of this scene
+  set                   a list of NAME=VALUE, as for train --set, such as background=white or start.anchors=5000
 It has a table [[methods]] for each method:
   name                  as for scenes
-  kind                  train (the default), or uncompressed, which has no rates
+  kind                  train (the default), or uncompressed, which has no lambdas
   preset, static        as for train (default: fast, false)
   set                   a list of NAME=VALUE, as for train --set, applied after that of the scene
   scenes                names of scenes, if the method is only for these
-A cell is SCENE/METHOD/rate-R/seed-S: one training, encode, eval --json. It is done if DIR/cells/CELL/result.json is
+A cell is SCENE/METHOD/lambda-L/seed-S: one training, encode, eval --json. It is done if DIR/cells/CELL/result.json is
 complete and was made by the same commands, settings, photographs and version of refcodec. The command runs the other
 cells, and continues interrupted ones. DIR gets results.csv (a row for each cell), tables.md (means and sample standard
-deviations over seeds, BD-rates) and curves/ (PNG, SVG).
+deviations over seeds, comparisons) and curves/ (PNG, SVG).
 Ctrl-C stops the training runs, which save their state.
 
 --engine ray runs cells on Ray, on this machine or on the cluster of RAY_ADDRESS. All machines of a cluster need
@@ -191,7 +189,7 @@ def _add_rd(commands: Any) -> None:
         "train at several rates, and write sizes and quality as a table and a chart",
         [
             "rd photographs -o curve --size 400x300",
-            "rd photographs -o curve --rates 0.002 0.004 0.01 0.04 --uncompressed",
+            "rd photographs -o curve --lambdas 0.002 0.004 0.01 0.04 --uncompressed",
             "rd photographs -o curve --against other/results.csv",
             "rd photographs -o curve --anchors 20000 --holdout 5 --set masks.epsilon=0.0004",
         ],
@@ -205,7 +203,7 @@ def _add_rd(commands: Any) -> None:
     rd.add_argument("photographs", metavar="PHOTOGRAPHS", help=PHOTOGRAPHS)
     rd.add_argument("-o", "--output", metavar="DIR", required=True, help="folder for the results")
     rd.add_argument(
-        "--rates",
+        "--lambdas",
         type=rate,
         nargs="+",
         metavar="R",

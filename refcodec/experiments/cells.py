@@ -1,39 +1,125 @@
-"""The cells of an experiment: one training run each, its commands, and the inputs of its result."""
+"""The cells of an experiment: one training run each, as a job, and its result."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
+
+import msgspec
+from msgspec import Meta, Struct
 
 from .. import __version__
 from ..files.documents import DocumentError, read_json
+from ..files.stage import write_file
 from ..folder.layout import REPORT_FILE
 from ..train.settings import TrainSettings
 from ..train.settings_file import document
-from .figures import FIGURES
+from .jobs import Job, Step, dumped, has, read
 from .plan import Experiment, Method, Scene
-from .runs import Command, has
 
-FORMAT = "C3GS cell"
-# Names in a cell's folder: the outputs of its commands, their lines on stderr, and the result.
-WORK, LOG, RESULT = "work", "log.txt", "result.json"
+# Names in the folder of a cell: the outputs of its commands, their record, and the result.
+WORK, RECORD, RESULT = "work", "steps.json", "result.json"
 # They stand for paths in a definition, which does not depend on the places of files.
 _PHOTOGRAPHS, _HERE = Path("PHOTOGRAPHS"), Path()
+
+Count = Annotated[int, Meta(ge=0)]
+
+
+class Measures(Struct):
+    """The measures of `refcodec eval`, of an image or their mean."""
+
+    psnr: float
+    ssim: float
+    psnr_3dgs: float
+    ssim_3dgs: float
+
+
+class Image(Measures):
+    """The measures of an image, with its name."""
+
+    image: str = ""
+
+
+class Evaluation(Struct):
+    """The used fields of the output of `refcodec eval --json`."""
+
+    bytes: Count
+    anchors: Count
+    parts: dict[str, Count]
+    mean: Measures
+    images: list[Image]
+
+
+class Look(Struct):
+    """An entry of the history of a training."""
+
+    seconds: float
+    psnr: float
+
+
+class Training(Struct):
+    """The used fields of training.json."""
+
+    steps: Count
+    history: list[Look]
+
+
+class Result(Evaluation):
+    """The result of a cell. hash: of the definition. sha256: of the file. seconds, processor_seconds: by command."""
+
+    format: Literal["C3GS cell"]
+    hash: str
+    definition: dict[str, Any]
+    sha256: str | None
+    seconds: dict[str, float]
+    processor_seconds: dict[str, float]
+
+
+def hash_of(definition: dict[str, Any]) -> str:
+    """SHA-256 of a definition."""
+    return hashlib.sha256(json.dumps(definition, sort_keys=True).encode()).hexdigest()
+
+
+def read_result(folder: Path) -> Result | None:
+    """The result in the folder of a cell, or None if it is missing or incomplete. Its hash is that of its definition.
+
+    Raises RunError for something else in its place, and OSError for one that cannot be read.
+    """
+    try:
+        found = msgspec.convert(read_json(folder / RESULT), Result) if has(folder / RESULT) else None
+    except (DocumentError, msgspec.ValidationError):
+        return None
+    return found if found and found.hash == hash_of(found.definition) else None
+
+
+def write_result(folder: Path, definition: dict[str, Any], shown: Evaluation, file: Path | None, job: Job) -> None:
+    """Writes the result of a job. file: that whose digest is in it."""
+    entries = job.entries()
+    result = Result(
+        format="C3GS cell",
+        hash=hash_of(definition),
+        definition=definition,
+        **msgspec.structs.asdict(shown),
+        sha256=hashlib.sha256(file.read_bytes()).hexdigest() if file else None,
+        seconds={step.name: round(entries[step.name].seconds, 2) for step in job.steps},
+        processor_seconds={step.name: round(entries[step.name].processor_seconds, 2) for step in job.steps},
+    )
+    write_file(folder / RESULT, dumped(result))
 
 
 @dataclass(frozen=True)
 class Cell:
-    """A scene, a method, a rate and a seed. settings: all of its training. device: of `train --device`."""
+    """A scene, a method, a lambda_r and a seed. settings: all of its training. device: of `train --device`."""
 
     scene: Scene
     method: Method
-    rate: float
+    lambda_r: float
     seed: int
     settings: TrainSettings
     steps: int | None
@@ -42,114 +128,80 @@ class Cell:
     @property
     def name(self) -> str:
         """Unique in an experiment; also its folder below `cells`."""
-        return f"{self.scene.name}/{self.method.name}/rate-{self.rate:g}/seed-{self.seed}"
+        return f"{self.scene.name}/{self.method.name}/lambda-{self.lambda_r:g}/seed-{self.seed}"
 
     def folder(self, root: Path) -> Path:
         """The cell's folder. root: the experiment's folder."""
         return root / "cells" / self.name
 
-    def commands(self, work: Path, photographs: Path, threads: int) -> tuple[Command, ...]:
-        """The chain of commands that makes its figures: train, encode, eval. work: the folder of their outputs.
+    def steps_of(self, work: Path, photographs: Path, threads: int) -> tuple[Step, ...]:
+        """The commands that make its figures: train, encode, eval. work: the folder of their outputs.
 
         threads: of the training; no result depends on them.
         """
-        scene, file = work / "scene", work / "scene.c3gs"
+        scene, file, made = work / "scene", work / "scene.c3gs", work / "scene" / REPORT_FILE
         size = ("--size", self.settings.size)
         held = () if self.scene.holdout is None else ("--holdout", str(self.scene.holdout))
-        over = () if self.scene.background is None else ("--background", self.scene.background)
-        words = [
-            "--preset",
-            self.method.preset,
-            "--lambda",
-            f"{self.rate:g}",
-            "--seed",
-            str(self.seed),
-            *size,
-            *held,
-            *over,
-        ]
+        words = ["--preset", self.method.preset, "--lambda", f"{self.lambda_r:g}", "--seed", str(self.seed)]
+        words += [*size, *held]
         words += ["--steps", str(self.steps)] if self.steps else []
         words += ["--static"] if self.method.static else []
         words += ["--device", self.device] if self.device != "cpu" else []
         words += [f"--up={self.scene.up}"] if self.scene.up else []
         words += [word for change in (*self.scene.changes, *self.method.changes) for word in ("--set", change)]
-        train = Command(
-            self.name,
+        train = Step(
             ("train", str(photographs), "-o", str(scene), *words),
-            scene / REPORT_FILE,
+            made,
             state=work / "scene.train-state",
             free=("--threads", str(threads), "--progress"),
         )
-        encode = Command(self.name, ("encode", str(scene), "-o", str(file)), file, (train.name,))
-        coded = (encode,) if self.rate else ()
-        shown = ("eval", str(file if coded else scene), str(photographs), *size, *held, "--json")
-        return (train, *coded, Command(self.name, shown, work / "eval.json", ((coded or (train,))[0].name,), True))
+        encode = Step(("encode", str(scene), "-o", str(file)), file, (made,))
+        coded, shown = ((encode,), file) if self.lambda_r else ((), scene)
+        measured = ("eval", str(shown), str(photographs), *size, *held, "--json")
+        evaluate = Step(measured, work / "eval.json", (file if coded else made,), printed=True)
+        return train, *coded, evaluate
 
     def definition(self, photographs: str) -> dict[str, Any]:
         """All inputs of its result. photographs: their digest."""
-        commands = self.commands(_HERE, _PHOTOGRAPHS, 1)
         return {
             "refcodec": __version__,
-            "commands": [list(command.arguments) for command in commands],
+            "commands": [list(step.words) for step in self.steps_of(_HERE, _PHOTOGRAPHS, 1)],
             "settings": document(self.settings),
             "photographs": photographs,
         }
+
+    def job(self, root: Path, photographs: Path, digest: str, threads: int) -> Job:
+        """The job that makes its result. photographs: their folder, with their digest."""
+        folder, definition = self.folder(root), self.definition(digest)
+        steps = self.steps_of(folder / WORK, photographs, threads)
+        depends = hash_of(definition)
+        return Job(self.name, folder / RECORD, steps, depends, partial(_finish, folder, definition))
+
+
+def _finish(folder: Path, definition: dict[str, Any], job: Job) -> None:
+    file = folder / WORK / "scene.c3gs" if len(job.steps) > 2 else None
+    write_result(folder, definition, read(job.steps[-1].output, Evaluation), file, job)
+
+
+def result_of(cell: Cell, root: Path, photographs: str | None = None) -> Result | None:
+    """The result of a cell that is done. photographs: their digest; None for whatever the result was made of.
+
+    root: the experiment's folder. Errors are those of read_result.
+    """
+    result = read_result(cell.folder(root))
+    if result is None:
+        return None
+    definition = cell.definition(photographs or str(result.definition.get("photographs")))
+    return result if result.hash == hash_of(definition) else None
 
 
 def cells(experiment: Experiment, patterns: tuple[str, ...] = ()) -> Iterator[Cell]:
     """The cells whose name matches one of the patterns (fnmatch), or all without patterns; seeds change first."""
     for scene in experiment.scenes:
         for method in experiment.methods_of(scene):
-            for rate in experiment.rates_of(scene, method):
+            for lambda_r in experiment.lambdas_of(scene, method):
                 for seed in experiment.seeds:
-                    settings = experiment.settings(scene, method, rate, seed)
-                    cell = Cell(scene, method, rate, seed, settings, experiment.steps, experiment.device)
+                    settings = experiment.settings(scene, method, lambda_r, seed)
+                    cell = Cell(scene, method, lambda_r, seed, settings, experiment.steps, experiment.device)
                     if not patterns or any(fnmatchcase(cell.name, pattern) for pattern in patterns):
                         yield cell
-
-
-# --- results ----------------------------------------------------------------------------------------------------------
-
-
-def hash_of(definition: dict[str, Any]) -> str:
-    """SHA-256 of a definition."""
-    return hashlib.sha256(json.dumps(definition, sort_keys=True).encode()).hexdigest()
-
-
-def read_result(folder: Path) -> dict[str, Any] | None:
-    """The result in a cell's folder, or None if it is missing or incomplete.
-
-    Its hash is that of the definition in it. Raises RunError for something else in its place, and OSError for one that
-    cannot be read.
-
-    `bytes`, `anchors`, `parts` (bytes by section) and `mean` are those of `eval --json`, `sha256` is of the file, None
-    for an uncompressed scene, and `seconds` and `processor_seconds` are by command.
-    """
-    try:
-        if not has(folder / RESULT):
-            return None
-        found = read_json(folder / RESULT)
-    except DocumentError:
-        return None
-    try:
-        whole = (
-            found["format"] == FORMAT
-            and found["hash"] == hash_of(found["definition"])
-            and isinstance(found["definition"]["photographs"], str)
-            and all(_is_count(found[key]) for key in ("bytes", "anchors"))
-            and all(_is_count(value) for value in found["parts"].values())
-            and all(_is_number(found["mean"][key]) for key in FIGURES)
-            and all(_is_number(found[key]["train"]) for key in ("seconds", "processor_seconds"))
-            and (found["sha256"] is None or isinstance(found["sha256"], str))
-        )
-    except (KeyError, TypeError, AttributeError):
-        return None
-    return dict(found) if whole else None
-
-
-def _is_count(value: Any) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool) and value >= 0
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)

@@ -5,13 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..photographs.photographs import (
-    TEST_EVERY,
-    PhotographSet,
-    parse_background,
-    parse_size,
-    read_photographs,
-)
+from ..photographs.photographs import TEST_EVERY, PhotographSet, parse_background, parse_size, read_photographs
 
 
 @dataclass(frozen=True)
@@ -29,14 +23,8 @@ class DataSet:
 
     def read(self) -> PhotographSet:
         """The photographs. Raises PhotographError."""
-        return read_photographs(
-            self.folder, parse_size(self.size), parse_background(self.background), holdout=self.holdout
-        )
-
-    @property
-    def trained(self) -> tuple[str, ...]:
-        """The arguments of `train`."""
-        return *self.options, "--size", self.size
+        background = parse_background(self.background)
+        return read_photographs(self.folder, parse_size(self.size), background, holdout=self.holdout)
 
     @property
     def evaluated(self) -> tuple[str, ...]:

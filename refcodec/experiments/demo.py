@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 from PIL import Image
 
@@ -21,15 +22,17 @@ from ..files.stage import write_file
 from ..folder.layout import REPORT_FILE, SCENE_FILE
 from ..folder.read import read_folder
 from ..rendering.images import image_names
+from ..statuses import DONE, FAULT, INTERRUPTED
+from .cells import Evaluation, Training
 from .data_set import DataSet
+from .jobs import Job, RunError, Step, claim, has, read, run_job, run_jobs, shown
 from .page import page
-from .runs import Command, Notes, RunError, Runner, has, is_evaluation, is_report, read_result, shown
 
-FORMAT, NOTES, PAGE = "C3GS demo", "demo.json", "index.html"
+FORMAT, MARK, PAGE = "C3GS demo", "demo.json", "index.html"
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "photographs"
 TITLES = {"caliterra": "A building site from the air", "snowmiku": "A plush doll"}
 # lambda_r: the paper's middle.
-RATE = 0.004
+LAMBDA = 0.004
 # Two parallel training runs on two cores take six minutes in total.
 STEPS = 6000
 
@@ -53,8 +56,17 @@ FILES = {
     f"images-{UNCOMPRESSED}": "views rendered from the uncompressed scene, PNG",
     f"{CODED}.eval.json": "all figures of each view, and the decoding time",
     f"{UNCOMPRESSED}.eval.json": "the same for the uncompressed scene",
-    NOTES: "the commands and their times",
 }
+
+
+class _Digest(Struct):
+    whole: str
+
+
+class _Decoded(Struct):
+    """The used field of a scene folder's document."""
+
+    digest: _Digest
 
 
 @dataclass(frozen=True)
@@ -68,40 +80,44 @@ class Demo:
     def path(self, name: str) -> Path:
         return self.folder / name
 
-    def _training(self, name: str, rate: float) -> Command:
-        output, source = self.path(name), str(self.photographs.folder)
-        words = ("--lambda", f"{rate:g}", "--steps", str(self.steps), *self.photographs.trained, "--threads", "1")
-        state = output.with_name(f"{name}.train-state")
-        return Command(
-            name, ("train", source, "-o", str(output), *words, "--progress"), output / REPORT_FILE, state=state
+    def job(self, name: str, *steps: Step) -> Job:
+        """A job of one of the two scenes. Both jobs of a scene have one record."""
+        return Job(name, self.path(f"{name}.steps.json"), steps)
+
+    def training(self, name: str, lambda_r: float) -> Job:
+        output, data = self.path(name), self.photographs
+        words = ("--lambda", f"{lambda_r:g}", "--steps", str(self.steps), *data.options, "--size", data.size)
+        state = self.path(f"{name}.train-state")
+        step = Step(
+            ("train", str(data.folder), "-o", str(output), *words),
+            output / REPORT_FILE,
+            state=state,
+            free=("--threads", "1", "--progress"),
         )
+        return self.job(name, step)
 
-    def _evaluation(self, name: str, scene: Path, after: str) -> Command:
-        what = (
-            "eval",
-            str(scene),
-            str(self.photographs.folder),
-            *self.photographs.evaluated,
-            "--images",
-            str(self.path(f"images-{name}")),
-            "--json",
+    def _evaluation(self, name: str, scene: Path, made: Path) -> Step:
+        data, images = self.photographs, str(self.path(f"images-{name}"))
+        words = ("eval", str(scene), str(data.folder), *data.evaluated, "--images", images, "--json")
+        return Step(words, self.path(f"{name}.eval.json"), (made,), printed=True)
+
+    def jobs(self) -> list[list[Job]]:
+        """The jobs that train, and those after them: for the uncompressed scene, and for the file."""
+        (plain, scene), file, decoded = (
+            map(self.path, (UNCOMPRESSED, CODED)),
+            self.path("scene.c3gs"),
+            self.path("decoded"),
         )
-        return Command(name, what, self.path(f"{name}.eval.json"), (after,), printed=True)
-
-    def trainings(self) -> list[Command]:
-        return [self._training(UNCOMPRESSED, 0), self._training(CODED, RATE)]
-
-    def rest(self) -> list[list[Command]]:
-        """The commands after training: one chain for the file, one for the uncompressed scene."""
-        scene, file, decoded = (self.path(name) for name in (CODED, "scene.c3gs", "decoded"))
-        return [
-            [
-                Command(CODED, ("encode", str(scene), "-o", str(file)), file, (f"{CODED} train",)),
-                Command(CODED, ("decode", str(file), "-o", str(decoded)), decoded / SCENE_FILE, (f"{CODED} encode",)),
-                self._evaluation(CODED, file, f"{CODED} encode"),
-            ],
-            [self._evaluation(UNCOMPRESSED, self.path(UNCOMPRESSED), f"{UNCOMPRESSED} train")],
+        coding = [
+            Step(("encode", str(scene), "-o", str(file)), file, (scene / REPORT_FILE,)),
+            Step(("decode", str(file), "-o", str(decoded)), decoded / SCENE_FILE, (file,)),
+            self._evaluation(CODED, file, file),
         ]
+        rest = [
+            self.job(UNCOMPRESSED, self._evaluation(UNCOMPRESSED, plain, plain / REPORT_FILE)),
+            self.job(CODED, *coding),
+        ]
+        return [[self.training(UNCOMPRESSED, 0), self.training(CODED, LAMBDA)], rest]
 
 
 def find_example(name: str) -> Path:
@@ -120,39 +136,40 @@ def run_demo(folder: Path, photographs: DataSet, steps: int) -> tuple[Path, bool
 
     Finished commands with the same settings are not repeated. Returns the page's path, and whether both training runs
     finished. Raises RunError, also after Ctrl-C without results; PhotographError; SceneFolderError; UsageError if the
-    folder is an input, or another run writes to it.
+    folder is an input, or another run writes to it; OSError.
     """
     demo = Demo(folder, photographs, steps)
     # Errors in the photographs are reported before anything is written.
-    found = photographs.read()
-    check_apart([folder / NOTES, folder / PAGE], found.places())
+    places = photographs.read().places()
+    check_apart([folder / MARK, folder / PAGE], places)
+    claim(folder, MARK, FORMAT)
     with hold_folder(folder):
-        return _run(demo)
+        trainings, rest = demo.jobs()
+        whole = _ran(trainings)
+        if not all(has(job.steps[0].output) for job in trainings):
+            raise RunError("stopped before both training runs had a scene; the same command continues", INTERRUPTED)
+        if not _ran(rest):
+            raise RunError("stopped; the same command continues", INTERRUPTED)
+        write_file(folder / PAGE, page(collect(demo)).encode())
+    return folder / PAGE, whole
 
 
-def _run(demo: Demo) -> tuple[Path, bool]:
-    notes = Notes.open(demo.folder, NOTES, FORMAT)
-    trainings, rest = demo.trainings(), demo.rest()
-    with shown([UNCOMPRESSED, CODED]) as show:
-        runner = Runner(notes, show, jobs=2)
-        whole = runner.run([[command] for command in trainings])
-        if not all(has(command.output) for command in trainings):
-            raise RunError("stopped before both training runs had a scene; run the same command again to continue", 130)
-        if not runner.run(rest):
-            raise RunError("stopped; run the same command again to continue", 130)
-    result = collect(demo, notes)
-    path = demo.path(PAGE)
-    write_file(path, page(result).encode())
-    return path, whole
+def _ran(jobs: list[Job]) -> bool:
+    """Runs jobs, and shows their lines. Returns whether all are done. Raises RunError for one that fails."""
+    with shown([job.name for job in jobs]) as show:
+        outcomes, _ = run_jobs(jobs, 2, lambda job, wanted: run_job(job, wanted, show), together=True)
+    for outcome in outcomes:
+        if outcome.status not in (DONE, INTERRUPTED):
+            raise RunError(outcome.text, outcome.status)
+    return len(outcomes) == len(jobs) and all(outcome.status == DONE for outcome in outcomes)
 
 
 def check_decoder(demo: Demo) -> str:
     """Returns the SHA-256 of the scene before coding. Raises RunError if that of the decoder's folder differs."""
     before = digest(read_folder(demo.path(CODED)))[0]
-    decoded = read_result(demo.path("decoded") / SCENE_FILE, lambda found: isinstance(found["digest"]["whole"], str))
-    after = decoded["digest"]["whole"]
+    after = read(demo.path("decoded") / SCENE_FILE, _Decoded).digest.whole
     if before != after:
-        raise RunError(f"the decoded scene differs from the encoded one: SHA-256 {after} instead of {before}", 70)
+        raise RunError(f"the decoded scene differs from the encoded one: SHA-256 {after} instead of {before}", FAULT)
     return before
 
 
@@ -168,48 +185,54 @@ def sizes(before: dict[str, int], sections: dict[str, int]) -> list[dict[str, An
     ] + [{"name": "headers", "text": HEADERS, "before": 0, "after": others}]
 
 
-def collect(demo: Demo, notes: Notes) -> dict[str, Any]:
+def collect(demo: Demo) -> dict[str, Any]:
     """Returns the values of page.html, from the files of a demo. Pairs begin with the uncompressed scene."""
-    reports = {name: read_result(demo.path(name) / REPORT_FILE, is_report) for name in (UNCOMPRESSED, CODED)}
-    evals = {name: read_result(demo.path(f"{name}.eval.json"), is_evaluation) for name in (UNCOMPRESSED, CODED)}
-    found, name = demo.photographs.read(), demo.photographs.folder.name
-    held_out = {p.camera.name: p for p in (found.test or found.train)}
-    views = []
-    names = image_names(row["image"] for row in evals[CODED]["images"])
-    for before, after, file in zip(evals[UNCOMPRESSED]["images"], evals[CODED]["images"], names, strict=True):
-        images = {
-            key: _read(demo.path(f"images-{name}") / file)
-            for key, name in ((UNCOMPRESSED, UNCOMPRESSED), ("decoded", CODED))
+    names = UNCOMPRESSED, CODED
+    reports = [read(demo.path(name) / REPORT_FILE, Training) for name in names]
+    before, after = (read(demo.path(f"{name}.eval.json"), Evaluation) for name in names)
+    photographs, name = demo.photographs.read(), demo.photographs.folder.name
+    held_out = {p.camera.name: p.image for p in (photographs.test or photographs.train)}
+    files = image_names(row.image for row in after.images)
+    views = [
+        {
+            "name": plain.image,
+            "photograph": held_out[plain.image],
+            "before": plain,
+            "after": coded,
+            UNCOMPRESSED: _pixels(demo.path(f"images-{UNCOMPRESSED}") / file),
+            "decoded": _pixels(demo.path(f"images-{CODED}") / file),
         }
-        photograph = held_out[before["image"]].image
-        views.append({"name": before["image"], "photograph": photograph, "before": before, "after": after, **images})
-    commands = [*demo.trainings(), *(command for chain in demo.rest() for command in chain)]
+        for plain, coded, file in zip(before.images, after.images, files, strict=True)
+    ]
+    jobs = [job for group in demo.jobs() for job in group]
     return {
         "title": TITLES.get(name, name),
-        "photographs": len(found.train) + len(found.test),
-        "held_out": bool(found.test),
+        "photographs": len(photographs.train) + len(photographs.test),
+        "held_out": bool(photographs.test),
         "views": views,
-        "mean_before": evals[UNCOMPRESSED]["mean"],
-        "mean_after": evals[CODED]["mean"],
-        "parts": sizes(evals[UNCOMPRESSED]["parts"], evals[CODED]["parts"]),
-        "anchors": (evals[UNCOMPRESSED]["anchors"], evals[CODED]["anchors"]),
-        "trained": (reports[UNCOMPRESSED]["steps"], reports[CODED]["steps"]),
+        "mean_before": before.mean,
+        "mean_after": after.mean,
+        "parts": sizes(before.parts, after.parts),
+        "anchors": (before.anchors, after.anchors),
+        "trained": [report.steps for report in reports],
         "steps_wanted": demo.steps,
-        "rate": RATE,
+        "lambda_r": LAMBDA,
         "digest": check_decoder(demo),
         "steps": [
-            (command.name, str(command).replace(f"{Path.cwd()}/", ""), notes.seconds(command.name))
-            for command in commands
+            (f"{job.name} {step.name}", str(step).replace(f"{Path.cwd()}/", ""), job.entries()[step.name].seconds)
+            for job in jobs
+            for step in job.steps
         ],
         "charts": {
-            name: [(row["seconds"], row["psnr"]) for row in report["history"]] for name, report in reports.items()
+            name: [(look.seconds, look.psnr) for look in report.history]
+            for name, report in zip(names, reports, strict=True)
         },
         "files": [(name, text, _size(demo.path(name))) for name, text in FILES.items()],
         "credits": _credits(demo.photographs.folder),
     }
 
 
-def _read(path: Path) -> NDArray[np.uint8]:
+def _pixels(path: Path) -> NDArray[np.uint8]:
     with Image.open(path) as image:
         return np.asarray(image.convert("RGB"))
 
@@ -220,10 +243,10 @@ def _size(path: Path) -> int:
 
 def _credits(photographs: Path) -> str:
     """Returns the source and the licence of the photographs."""
-    found = [
+    texts = [
         path.read_text(encoding="utf-8", errors="replace").strip()
         for name in ("SOURCE.md", "LICENSE")
         if has(path := photographs / name)
     ]
     # The page wraps the lines of list items itself.
-    return re.sub(r"\n +", " ", "\n\n".join(found)).removeprefix("# ") or f"The photographs are those in {photographs}."
+    return re.sub(r"\n +", " ", "\n\n".join(texts)).removeprefix("# ") or f"The photographs are those in {photographs}."

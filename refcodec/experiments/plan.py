@@ -1,95 +1,74 @@
-"""An experiment as a TOML file: scenes, methods, rates, seeds, steps. It is read strictly and within bounds."""
+"""An experiment as a TOML file: scenes, methods, lambdas, seeds, steps. It is read strictly and within bounds."""
 
 from __future__ import annotations
 
-import math
 import os
 import re
-import reprlib
-import tomllib
-from dataclasses import dataclass, replace
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import msgspec
 from msgspec import Meta, Struct, field
 
+from ..files.documents import TOML_MAX, DocumentError, parse_toml
 from ..files.text import printable
-from ..photographs.photographs import PhotographError, parse_background, parse_size
+from ..photographs.photographs import PhotographError, parse_size
+from ..statuses import UsageError
 from ..train.settings import PRESETS, STATIC_CHANGES, TrainSettings
 from ..train.settings_file import SettingsError, assigned, varied
 
-# Bounds of the input: bytes of the file, entries of a list, cells.
-SIZE_MAX, LIST_MAX, CELLS_MAX = 1 << 20, 1000, 100_000
+# Bounds of the input: entries of a list, cells.
+LIST_MAX, CELLS_MAX = 1000, 100_000
 SEED_MAX = (1 << 63) - 1
 _VARIABLE = re.compile(r"\$\{([^}]*)\}")
 # Settings with their own key, which must be used instead.
 OWN_KEYS = {
-    "rate.lambda_r": "rates",
+    "rate.lambda_r": "lambdas",
     "steps": "steps",
     "size": "the scene's size",
     "seed": "seeds",
-    "background": "the scene's background",
     "holdout": "the scene's holdout",
 }
-
-_NAMES = "1 to 64 letters, digits and . _ + -, with a letter or digit first and no dot last,"
-_RATES = f"a list of 1 to {LIST_MAX} numbers above 0 and at most 1, each once and of six digits at most,"
-_CHANGES = f"a list of 1 to {LIST_MAX} texts NAME=VALUE"
-# What each key allows, for messages.
-_ALLOWED = {
-    "name": _NAMES,
-    "group": _NAMES,
-    "photographs": "a folder",
-    "size": "WIDTHxHEIGHT or the longest side",
-    "background": "white, black or R,G,B",
-    "holdout": "a whole number of 0 or more",
-    "up": "+x, -x, +y, -y, +z or -z",
-    "voxel": "a number above 0",
-    "anchors": "a whole number of 1 or more",
-    "rates": _RATES,
-    "set": _CHANGES,
-    "kind": "train or uncompressed",
-    "preset": " or ".join(PRESETS),
-    "static": "true or false",
-    "scenes": f"a list of 1 to {LIST_MAX} tables [[scenes]], or of their names in a method,",
-    "methods": f"a list of 1 to {LIST_MAX} tables [[methods]]",
-    "seeds": f"a list of 1 to {LIST_MAX} whole numbers from 0 to {SEED_MAX}, each once,",
-    "steps": "a whole number of 1 or more",
-    "device": "cpu or cuda",
-    "baseline": "the name of a method",
-}
+# A component of a path on every file system.
+_NAME = re.compile(r"[A-Za-z0-9](?:[A-Za-z0-9._+-]{0,62}[A-Za-z0-9_+-])?")
 
 _LIST = Meta(min_length=1, max_length=LIST_MAX)
-# A component of a path on every file system.
-Name = Annotated[str, Meta(pattern=r"\A[A-Za-z0-9](?:[A-Za-z0-9._+-]{0,62}[A-Za-z0-9_+-])?\Z")]
 Text = Annotated[str, Meta(pattern=r"\A[^\0]+\Z")]
 Whole = Annotated[int, Meta(ge=0, le=SEED_MAX)]
 Positive = Annotated[int, Meta(ge=1, le=SEED_MAX)]
-Rates = Annotated[tuple[Annotated[float, Meta(gt=0, le=1)], ...], _LIST]
+Lambdas = Annotated[tuple[Annotated[float, Meta(gt=0, le=1)], ...], _LIST]
 Texts = Annotated[tuple[Text, ...], _LIST]
 
 
-class ExperimentError(ValueError):
+class ExperimentError(UsageError):
     """An experiment that cannot be run as it is written. The text is one line."""
 
 
-def _distinct(key: str, values: tuple[Any, ...]) -> None:
-    for i, value in enumerate(values):
-        if value in values[:i]:
+def _check_name(name: str) -> None:
+    if not _NAME.fullmatch(name):
+        words = "1 to 64 letters, digits and . _ + -, with a letter or digit first and no dot last"
+        raise ValueError(f"the name {name!r} is not {words}")
+
+
+def _check_distinct(key: str, values: Iterable[Any]) -> None:
+    known = []
+    for value in values:
+        if value in known:
             raise ValueError(f"{key} has {value!r} twice")
+        known.append(value)
 
 
-def _exact(rates: tuple[float, ...]) -> None:
+def _check_lambdas(lambdas: tuple[float, ...]) -> None:
     """Raises ValueError for a lambda_r that its name in commands and folders does not state exactly."""
-    _distinct("rates", rates)
-    for rate in rates:
-        if float(f"{rate:g}") != rate:
-            raise ValueError(f"rates has {rate!r}: six digits at most are allowed")
+    _check_distinct("lambdas", lambdas)
+    for value in lambdas:
+        if float(f"{value:g}") != value:
+            raise ValueError(f"lambdas has {value!r}: six digits at most are allowed")
 
 
-def _settable(changes: tuple[str, ...]) -> None:
-    _distinct("set", changes)
+def _check_changes(changes: tuple[str, ...]) -> None:
+    _check_distinct("set", changes)
     for change in changes:
         name = change.partition("=")[0].strip()
         if name in OWN_KEYS:
@@ -100,77 +79,57 @@ class Scene(Struct, forbid_unknown_fields=True, kw_only=True):
     """Photographs to learn from: a table [[scenes]].
 
     photographs: the folder as the file states it. A path that is not absolute begins at the file's folder, and ${NAME}
-    stands for a variable of the environment. size, background, holdout, up: of `train`, None for its default. voxel,
-    anchors: of the first anchors. rates: lambda_r of this scene, empty for those of all scenes. assignments: NAME=VALUE
-    for `train --set`, the key `set`. group: the data set that it belongs to, its own name if the file has none.
+    stands for a variable of the environment. size, holdout, up: of `train`, None for its default. lambdas: lambda_r of
+    this scene, empty for those of all scenes. changes: NAME=VALUE for `train --set`, the key `set`.
     """
 
-    name: Name
+    name: str
     photographs: Text
     size: str | int | None = None
-    background: str | None = None
     holdout: Whole | None = None
     up: Literal["+x", "-x", "+y", "-y", "+z", "-z"] | None = None
-    voxel: Annotated[float, Meta(gt=0)] | None = None
-    anchors: Positive | None = None
-    rates: Rates = ()
-    assignments: Texts = field(default=(), name="set")
-    group: Name = ""
+    lambdas: Lambdas = ()
+    changes: Texts = field(default=(), name="set")
 
     def __post_init__(self) -> None:
         """Raises ValueError."""
-        _exact(self.rates)
-        _settable(self.assignments)
-        if self.voxel == math.inf:
-            raise ValueError(f"voxel is inf: {_ALLOWED['voxel']} is required")
-        if self.voxel is not None and self.anchors is not None:
-            raise ValueError("it has voxel and anchors: one of them is enough")
-        self.group = self.group or self.name
+        _check_name(self.name)
+        _check_lambdas(self.lambdas)
+        _check_changes(self.changes)
         self.size = None if self.size is None else str(self.size)
         try:
             parse_size(self.size or "1")
-        except PhotographError:
-            raise ValueError(f"size is {self.size!r}: WIDTHxHEIGHT or the longest side is required") from None
-        try:
-            parse_background("white" if self.background is None else self.background)
-        except PhotographError:
-            raise ValueError(f"background is {self.background!r}: white, black or R,G,B is required") from None
-
-    @property
-    def changes(self) -> tuple[str, ...]:
-        """NAME=VALUE of all its settings. Those of the first anchors come before those of `set`."""
-        first = {"start.voxel": self.voxel, "start.anchors": self.anchors}
-        return (*(f"{name}={value!r}" for name, value in first.items() if value is not None), *self.assignments)
+        except PhotographError as error:
+            raise ValueError(str(error)) from None
 
 
 class Method(Struct, forbid_unknown_fields=True, kw_only=True):
     """A way to train: a table [[methods]].
 
-    kind: `train` at each rate, or `uncompressed`, once. static: as the option of `train`. changes: as `set` of a scene,
-    and applied after. scenes: names of the only ones that it is for, empty for all.
+    kind: `train` at each lambda_r, or `uncompressed`, once. static: as the option of `train`. changes: as `set` of a
+    scene, and applied after. scenes: names of the only ones that it is for, empty for all.
     """
 
-    name: Name
+    name: str
     kind: Literal["train", "uncompressed"] = "train"
-    preset: str = "fast"
+    preset: Literal["fast", "paper"] = "fast"
     static: bool = False
     changes: Texts = field(default=(), name="set")
     scenes: Texts = ()
 
     def __post_init__(self) -> None:
         """Raises ValueError."""
-        _settable(self.changes)
-        _distinct("scenes", self.scenes)
-        if self.preset not in PRESETS:
-            raise ValueError(f"preset is {self.preset!r}: {' or '.join(PRESETS)} is required")
+        _check_name(self.name)
+        _check_changes(self.changes)
+        _check_distinct("scenes", self.scenes)
 
 
 class _File(Struct, forbid_unknown_fields=True, kw_only=True):
-    """The whole file. steps: None for the preset's. baseline: a method, or None for no BD-rates."""
+    """The whole file. steps: None for the preset's. baseline: a method, or None for no comparisons."""
 
     scenes: Annotated[tuple[Scene, ...], _LIST]
     methods: Annotated[tuple[Method, ...], _LIST]
-    rates: Rates = ()
+    lambdas: Lambdas = ()
     seeds: Annotated[tuple[Whole, ...], _LIST]
     steps: Positive | None = None
     device: Literal["cpu", "cuda"] = "cpu"
@@ -178,14 +137,11 @@ class _File(Struct, forbid_unknown_fields=True, kw_only=True):
 
     def __post_init__(self) -> None:
         """Raises ValueError."""
-        _exact(self.rates)
-        _distinct("seeds", self.seeds)
-        for key, named in (("scenes", self.scenes), ("methods", self.methods)):
+        _check_lambdas(self.lambdas)
+        _check_distinct("seeds", self.seeds)
+        for key, tables in (("scenes", self.scenes), ("methods", self.methods)):
             # Some file systems do not distinguish capitals.
-            names = [one.name.lower() for one in named]
-            for i, name in enumerate(names):
-                if name in names[:i]:
-                    raise ValueError(f"two {key} are named {named[i].name}; capitals do not count")
+            _check_distinct(f"the names of {key}", (one.name.lower() for one in tables))
         known = [scene.name for scene in self.scenes]
         for method in self.methods:
             for name in method.scenes:
@@ -196,30 +152,18 @@ class _File(Struct, forbid_unknown_fields=True, kw_only=True):
             raise ValueError(f"baseline is {self.baseline}: methods of kind train are {', '.join(trained)}")
 
 
-@dataclass(frozen=True)
-class Experiment:
-    """An experiment's file. steps: None for the preset's. baseline: a method, or None for no BD-rates.
-
-    text: the content of the file.
-    """
+class Experiment(_File, kw_only=True):
+    """An experiment's file, whose content is `text`."""
 
     path: Path
-    scenes: tuple[Scene, ...]
-    methods: tuple[Method, ...]
-    rates: tuple[float, ...]
-    seeds: tuple[int, ...]
-    steps: int | None
-    device: str
-    baseline: str | None
     text: bytes = b""
 
-    def settings(self, scene: Scene, method: Method, rate: float, seed: int) -> TrainSettings:
+    def settings(self, scene: Scene, method: Method, lambda_r: float, seed: int) -> TrainSettings:
         """All settings of one training run, as its command has them. Raises ExperimentError."""
         options = {
-            "rate.lambda_r": rate,
+            "rate.lambda_r": lambda_r,
             "steps": self.steps,
             "size": scene.size,
-            "background": scene.background,
             "holdout": scene.holdout,
             "seed": seed,
         }
@@ -231,9 +175,9 @@ class Experiment:
         except SettingsError as error:
             raise ExperimentError(f"method {method.name} of scene {scene.name}: {error}") from None
 
-    def rates_of(self, scene: Scene, method: Method) -> tuple[float, ...]:
-        """The rates at which a method trains a scene: only 0 for an uncompressed one."""
-        return (0.0,) if method.kind == "uncompressed" else scene.rates or self.rates
+    def lambdas_of(self, scene: Scene, method: Method) -> tuple[float, ...]:
+        """The lambda_r at which a method trains a scene, ascending: only 0 for an uncompressed one."""
+        return (0.0,) if method.kind == "uncompressed" else tuple(sorted(scene.lambdas or self.lambdas))
 
     def methods_of(self, scene: Scene) -> list[Method]:
         """The methods that are for a scene."""
@@ -252,82 +196,38 @@ class Experiment:
         return (self.path.parent / _VARIABLE.sub(value, scene.photographs)).absolute()
 
 
-# --- the file ---------------------------------------------------------------------------------------------------------
-
-
 def read_experiment(path: Path) -> Experiment:
     """The experiment of a file. Raises ExperimentError, whose text begins with the path, and OSError."""
     with path.open("rb") as file:
-        return parse_experiment(path, file.read(SIZE_MAX + 1))
+        return parse_experiment(path, file.read(TOML_MAX + 1))
 
 
 def parse_experiment(path: Path, data: bytes) -> Experiment:
     """The experiment of a file's content. path: its place and name. Raises ExperimentError, as read_experiment."""
     try:
-        if len(data) > SIZE_MAX:
-            raise ExperimentError(f"it has more than {SIZE_MAX} bytes")
-        try:
-            document = tomllib.loads(data.decode("utf-8"))
-        # tomllib calls itself for each level of lists, and int() has bounds of its own.
-        except (ValueError, RecursionError) as error:
-            raise ExperimentError(f"it is not TOML: {error}") from None
-        return replace(_experiment(path, document), text=data)
-    except ExperimentError as error:
-        raise ExperimentError(printable(f"{path}: {error}", 400)) from None
+        file = msgspec.convert(parse_toml(data), _File)
+        experiment = Experiment(**msgspec.structs.asdict(file), path=path, text=data)
+        _check_cells(experiment)
+    except (DocumentError, msgspec.ValidationError, ExperimentError) as error:
+        text, _, place = str(error).partition(" - at `$.")
+        where = f"{place.rstrip('`')}: " if place else ""
+        # Errors of the checks above state what is allowed.
+        own = error.__cause__ is not None or not isinstance(error, msgspec.ValidationError)
+        hint = "" if own else "; `refcodec experiment --help` has the keys and their values"
+        hint = "; rates is now named lambdas, as it lists lambda_r" if "field `rates`" in text else hint
+        raise ExperimentError(printable(f"{path}: {where}{text}{hint}", 400)) from None
+    return experiment
 
 
-_TABLES: dict[str, type[Struct]] = {"": _File, "scenes": Scene, "methods": Method}
-
-
-def _reason(error: msgspec.ValidationError, document: Any) -> str:
-    """The place of a fault in a document, the value there, and the allowed values."""
-    text, _, place = str(error).partition(" - at `$")
-    place = place.rstrip("`").lstrip(".")
-    where, table = place or "the file", _TABLES.get(place.partition("[")[0])
-    named = re.fullmatch(r"Object (contains unknown|missing required) field `(.*)`", text, re.DOTALL)
-    if named and named[1].startswith("missing"):
-        return f"{where} has no {named[2]}: {_ALLOWED[named[2]]} is required"
-    if named and table:
-        return f"{where} has {named[2]}: its keys are {', '.join(f.encode_name for f in msgspec.structs.fields(table))}"
-    value = document
-    try:
-        for step in re.findall(r"\w+", place):
-            value = value[int(step) if isinstance(value, list) else step]
-    # A key of the file may contain what separates text and place.
-    except (KeyError, IndexError, TypeError, ValueError):
-        return f"{where}: {text}"
-    key = re.sub(r"\[\d+\]$", "", place).rpartition(".")[2]
-    if error.__cause__ is not None or key not in _ALLOWED:
-        return f"{where}: {text}"
-    shown = f"a list of {len(value)} entries" if isinstance(value, list) else reprlib.repr(value)
-    if place.endswith("]"):
-        return f"{where} is {shown}: {key} must be {_ALLOWED[key].rstrip(',')}"
-    return f"{where} is {shown}: {_ALLOWED[key]} is required"
-
-
-def _experiment(path: Path, document: Any) -> Experiment:
-    try:
-        file = msgspec.convert(document, _File)
-    except msgspec.ValidationError as error:
-        raise ExperimentError(_reason(error, document)) from None
-    experiment = Experiment(
-        path=path,
-        scenes=file.scenes,
-        methods=file.methods,
-        rates=tuple(sorted(file.rates)),
-        seeds=file.seeds,
-        steps=file.steps,
-        device=file.device,
-        baseline=file.baseline,
-    )
+def _check_cells(experiment: Experiment) -> None:
+    """Raises ExperimentError for a scene without lambdas, for too many cells, and for settings that are not allowed."""
     count = 0
     for scene in experiment.scenes:
         for method in experiment.methods_of(scene):
-            rates = experiment.rates_of(scene, method)
-            if not rates:
-                raise ExperimentError(f"there are no rates for scene {scene.name}: give rates, here or in the scene")
-            experiment.settings(scene, method, rates[0], experiment.seeds[0])
-            count += len(rates) * len(experiment.seeds)
+            lambdas = experiment.lambdas_of(scene, method)
+            if not lambdas:
+                raise ExperimentError(f"there are no lambdas for scene {scene.name}: give them, here or in the scene")
+            experiment.settings(scene, method, lambdas[0], experiment.seeds[0])
+            count += len(lambdas) * len(experiment.seeds)
             if count > CELLS_MAX:
                 raise ExperimentError(f"it has more than {CELLS_MAX} cells, the most that are allowed")
-    return experiment

@@ -10,18 +10,17 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from .. import statuses
 from ..files.outputs import check_apart
 from ..files.terminal import note, say
-from .command import CURVES, Options, run_experiment
-from .curves import write_curves
-from .experiment import COPY, MARK
-from .figures import BD_POINTS, compare
+from ..statuses import DONE
+from .command import COPY, MARK, Options, run_experiment
+from .jobs import RunError
 from .plan import Experiment, parse_experiment
-from .runs import RunError
-from .tables import CSV, MARKDOWN, Row
+from .tables import BD_POINTS, CSV, CURVES, MARKDOWN, Row, compare, write_curves
 
 CODED, UNCOMPRESSED = "coded", "uncompressed"
+# The settings of options of `train`.
+_SETTINGS = {"background": "background", "voxel": "start.voxel", "anchors": "start.anchors"}
 
 
 def scene_name(photographs: Path) -> str:
@@ -30,17 +29,19 @@ def scene_name(photographs: Path) -> str:
 
 
 def one_scene(
-    scene: Mapping[str, Any], preset: str, rates: Sequence[float], uncompressed: bool, **others: Any
+    scene: Mapping[str, Any], preset: str, lambdas: Sequence[float], uncompressed: bool, **others: Any
 ) -> Experiment:
-    """The experiment of one scene at some rates. Raises ExperimentError.
+    """The experiment of one scene at some lambda_r. Raises ExperimentError.
 
-    scene, others: keys of the table [[scenes]] and of the file; values that are None or empty are left out.
+    scene: keys of the table [[scenes]], and `voxel`, `anchors` and `background` as for train. others: keys of the file.
+    Values that are None or empty are left out.
     """
-    methods = [{"name": CODED, "preset": preset}]
-    methods += [{"name": UNCOMPRESSED, "kind": "uncompressed", "preset": preset}] if uncompressed else []
-    lines = [*_toml({"rates": rates, **others}), "", "[[scenes]]", *_toml(scene)]
-    for method in methods:
-        lines += ["", "[[methods]]", *_toml(method)]
+    table = {key: value for key, value in scene.items() if key not in _SETTINGS}
+    given = [f"{name}={scene[key]}" for key, name in _SETTINGS.items() if scene.get(key) is not None]
+    lines = [*_toml({"lambdas": lambdas, **others}), "[[scenes]]", *_toml({**table, "set": [*given, *scene["set"]]})]
+    lines += ["[[methods]]", *_toml({"name": CODED, "preset": preset})]
+    if uncompressed:
+        lines += ["[[methods]]", *_toml({"name": UNCOMPRESSED, "kind": UNCOMPRESSED, "preset": preset})]
     return parse_experiment(Path(f"{scene['name']}.toml"), ("\n".join(lines) + "\n").encode())
 
 
@@ -55,54 +56,38 @@ def run_rd(experiment: Experiment, inputs: Sequence[Path], options: Options, aga
     inputs: the files of the photographs. against: a table whose curve is compared with it. Raises RunError for a curve
     that cannot be compared, UsageError if an output is an input, and as run_experiment.
     """
-    other = read_curve(against) if against else None
-    if other is not None and min(len(experiment.rates), len(other)) < BD_POINTS:
-        raise RunError(
-            f"BD-rate needs {BD_POINTS} rates above 0 or more in both curves: {len(experiment.rates)} here, "
-            f"{len(other)} in {against}"
-        )
+    other = [point for point in _read(against) if point["lambda_r"]] if against else None
+    if other is not None and (least := min(len(experiment.lambdas), len(other))) < BD_POINTS:
+        raise RunError(f"BD-rate needs {BD_POINTS} points or more, here and in {against}: there are {least}")
     folder = options.folder
-    outputs = [folder / name for name in (MARK, COPY, CSV, MARKDOWN)]
-    check_apart(outputs, [against, *inputs])
+    check_apart([folder / name for name in (MARK, COPY, CSV, MARKDOWN)], [against, *inputs])
     status = run_experiment(experiment, options)
     say((folder / MARKDOWN).read_text(encoding="utf-8"), lines=True)
-    if status == statuses.DONE and other is not None:
-        rows = _rows(folder / CSV, other, str(against))
-        write_curves(folder / CURVES, rows)
-        found = compare(other, [row for row in rows if row["method"] == CODED])
+    if status == DONE and other is not None:
+        own = _read(folder / CSV)
+        reference = [{**point, "scene": own[0]["scene"], "method": str(against)} for point in other]
+        write_curves(folder / CURVES, own + reference)
+        found = compare(other, [point for point in own if point["method"] == CODED])
         say(f"BD-rate {found.rate:+.2f} %, BD-PSNR {found.psnr:+.3f} dB against {against}")
         if found.warning:
             note(f"refcodec: {found.warning}")
     return status
 
 
-def _rows(path: Path, other: Sequence[Row], name: str) -> list[Row]:
-    """The rows of a table for a chart, and after them those of another curve. name: of its line."""
-    with path.open(newline="", encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
-    own: list[Row] = [{**row, **{key: float(row[key]) for key in ("rate", "bytes", "psnr")}} for row in rows]
-    return own + [{"scene": own[0]["scene"], "method": name, "rate": i + 1.0, **row} for i, row in enumerate(other)]
+def _read(path: Path) -> list[Row]:
+    """The points of a table with the columns bytes and psnr. Raises RunError.
 
-
-def read_curve(path: Path) -> list[Row]:
-    """The points of a table with the columns bytes and psnr, without uncompressed ones. Raises RunError.
-
-    Other columns are ignored.
+    Without the column lambda_r, the number of a point stands for it.
     """
     try:
         with path.open(newline="", encoding="utf-8") as file:
-            rows = list(csv.DictReader(file))
-        points = [
-            {"bytes": float(row["bytes"]), "psnr": float(row["psnr"])}
-            for row in rows
-            if float(row.get("rate") or 1) > 0
-        ]
+            lines = [*csv.DictReader(file)]
+        numbers = [{"lambda_r": number, **line} for number, line in enumerate(lines, 1)]
+        rows = [{**line, **{key: float(line[key]) for key in ("bytes", "psnr", "lambda_r")}} for line in numbers]
     except OSError as error:
         raise RunError(f"{path}: {error.strerror}") from None
     except (KeyError, TypeError, ValueError, csv.Error):
         raise RunError(f"{path} is not a table with numbers in the columns bytes and psnr") from None
-    if not all(
-        point["bytes"] > 0 and math.isfinite(point["bytes"]) and math.isfinite(point["psnr"]) for point in points
-    ):
+    if not all(row["bytes"] > 0 and math.isfinite(row["bytes"]) and math.isfinite(row["psnr"]) for row in rows):
         raise RunError(f"{path} has sizes or PSNRs that no file has")
-    return points
+    return rows

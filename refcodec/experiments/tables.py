@@ -1,4 +1,4 @@
-"""Tables of an experiment's results: a row for each cell, means and spreads over seeds, and BD-rates."""
+"""Tables and curves of an experiment's results: a row for each cell, means and spreads over seeds, comparisons."""
 
 from __future__ import annotations
 
@@ -6,66 +6,77 @@ import csv
 import io
 import math
 import statistics
-from collections.abc import Iterator, Mapping, Sequence
+import warnings
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
-from .cells import Cell
-from .figures import BD_POINTS, FIGURES, PARTS, compare, figures_of
-from .runs import RunError
+import bjontegaard
+import matplotlib as mpl
+from matplotlib.figure import Figure
 
-CSV, MARKDOWN = "results.csv", "tables.md"
+from ..files.stage import write_file
+from .cells import Result
+from .jobs import RunError
+
+CSV, MARKDOWN, CURVES = "results.csv", "tables.md", "curves"
+PARTS = ("positions", "attributes", "masks", "planes", "weights")
+FIGURES = ("psnr", "ssim", "psnr_3dgs", "ssim_3dgs")
 SIZES = ("bytes", *PARTS, "headers")
 COLUMNS = (
-    *("scene", "method", "rate", "seed", *SIZES, "bits_per_anchor", "anchors", *FIGURES, "steps", "seconds"),
+    *("scene", "method", "lambda_r", "seed", *SIZES, "bits_per_anchor", "anchors", *FIGURES, "steps", "seconds"),
     *("processor_seconds", "sha256"),
 )
 # The names of the figures in tables.md, and their digits.
 _SHOWN = {"psnr": ("PSNR, dB", 2), "ssim": ("SSIM", 4)}
 _SHOWN |= {name: (name, 0) for name in (*SIZES, "anchors")} | {"processor_seconds": ("processor s", 0)}
+# Bjontegaard's method fits cubics.
+BD_POINTS = 4
 
+# bjontegaard imports pyplot, which must not look for a screen.
+mpl.use("Agg")
+
+# The COLUMNS of a cell, and in `images` the PSNR of each photograph by its name.
 Row = dict[str, Any]
 
 
-@dataclass(frozen=True)
-class Spread:
-    """The mean, the sample standard deviation (NaN for one value) and the number of some values."""
-
-    mean: float
-    deviation: float
-    count: int
-
-    def text(self, digits: int) -> str:
-        """The text in tables: mean and deviation, and the number of values where it is not stated elsewhere."""
-        mean = f"{self.mean:,.{digits}f}"
-        return mean if math.isnan(self.deviation) else f"{mean} ± {self.deviation:,.{digits}f}"
+def spread(values: Sequence[float]) -> tuple[float, float]:
+    """The mean and the sample standard deviation of one value or more; NaN for the deviation of one."""
+    return statistics.fmean(values), statistics.stdev(values) if len(values) > 1 else math.nan
 
 
-def spread(values: Sequence[float]) -> Spread:
-    """The spread of one value or more."""
-    deviation = statistics.stdev(values) if len(values) > 1 else math.nan
-    return Spread(statistics.fmean(values), deviation, len(values))
+def spread_text(values: Sequence[float], digits: int) -> str:
+    """The spread of values as tables have it."""
+    mean, deviation = (f"{value:,.{digits}f}" for value in spread(values))
+    return mean if len(values) == 1 else f"{mean} ± {deviation}"
 
 
-def row(cell: Cell, result: Mapping[str, Any]) -> Row:
-    """The COLUMNS of a cell. `seconds` and `processor_seconds` are those of its training run."""
+def row(scene: str, method: str, lambda_r: float, seed: int, result: Result) -> Row:
+    """The row of a result. `seconds` and `processor_seconds` are those of its training run.
+
+    headers: bytes of everything outside the PARTS.
+    """
     return {
-        "scene": cell.scene.name,
-        "method": cell.method.name,
-        "rate": cell.rate,
-        "seed": cell.seed,
-        **figures_of(result),
-        "steps": cell.settings.steps,
-        "seconds": result["seconds"]["train"],
-        "processor_seconds": result["processor_seconds"]["train"],
-        "sha256": result["sha256"] or "",
+        **{"scene": scene, "method": method, "lambda_r": lambda_r, "seed": seed, "bytes": result.bytes},
+        **{part: result.parts.get(part, 0) for part in PARTS},
+        "headers": sum(value for part, value in result.parts.items() if part not in PARTS),
+        "bits_per_anchor": 8 * result.bytes / result.anchors if result.anchors else math.nan,
+        "anchors": result.anchors,
+        **{figure: getattr(result.mean, figure) for figure in FIGURES},
+        "steps": result.definition["settings"]["steps"],
+        "seconds": result.seconds["train"],
+        "processor_seconds": result.processor_seconds["train"],
+        "sha256": result.sha256 or "",
+        "images": {image.image: image.psnr for image in result.images},
     }
 
 
 def as_csv(rows: Sequence[Row]) -> str:
     """Rows with their COLUMNS."""
     text = io.StringIO()
-    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
+    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n", extrasaction="ignore")
     writer.writeheader()
     writer.writerows(
         {name: f"{value:.6g}" if isinstance(value, float) else value for name, value in one.items()} for one in rows
@@ -75,54 +86,114 @@ def as_csv(rows: Sequence[Row]) -> str:
 
 def grouped(rows: Sequence[Row], *keys: str) -> dict[tuple[Any, ...], list[Row]]:
     """Rows with the same values of some columns, in the order of the rows."""
-    found: dict[tuple[Any, ...], list[Row]] = {}
+    groups: dict[tuple[Any, ...], list[Row]] = {}
     for one in rows:
-        found.setdefault(tuple(one[key] for key in keys), []).append(one)
-    return found
+        groups.setdefault(tuple(one[key] for key in keys), []).append(one)
+    return groups
 
 
-# --- BD-rates ---------------------------------------------------------------------------------------------------------
+# --- comparisons ------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
-class Delta:
-    """A method's Bjontegaard deltas from the baseline on one scene, by seed.
+class Difference:
+    """The difference of a curve from another.
 
-    rates: percent. psnrs: dB. reasons: why a seed has no deltas.
+    rate: BD-rate in percent, negative where it saves. psnr: BD-PSNR in dB. warning: a text if the curves have little
+    range in common.
     """
 
-    scene: str
-    method: str
-    rates: Mapping[int, float]
-    psnrs: Mapping[int, float]
-    reasons: Mapping[int, str]
+    rate: float
+    psnr: float
+    warning: str
 
 
-def deltas(rows: Sequence[Row], baseline: str) -> Iterator[Delta]:
-    """The deltas of every other method with rates, by scene of the baseline. Curves of the same seed are compared."""
-    curves = grouped([one for one in rows if one["rate"] > 0], "scene", "method", "seed")
+def compare(anchor: Sequence[Row], test: Sequence[Row]) -> Difference:
+    """The Bjontegaard deltas of the test curve from the anchor, by piecewise cubic interpolation, as JCTVC-L1100 does.
+
+    Uncompressed points are left out. Raises RunError if the deltas cannot be computed.
+    """
+    curves = [
+        sorted((point["bytes"], point["psnr"]) for point in curve if point.get("lambda_r", 1) > 0)
+        for curve in (anchor, test)
+    ]
+    if (least := min(map(len, curves))) < BD_POINTS:
+        raise RunError(f"not enough points: {least}, but {BD_POINTS} are needed")
+    for curve in curves:
+        if any(a[0] >= b[0] or a[1] >= b[1] for a, b in pairwise(curve)):
+            raise RunError(
+                "BD-rate needs curves on which PSNR rises with the size: "
+                + ", ".join(f"{b:.0f} B {p:.2f} dB" for b, p in curve)
+            )
+    columns = [[point[i] for point in curve] for curve in curves for i in (0, 1)]
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        rate, psnr = (
+            float(measure(*columns, method="pchip", require_matching_points=False))
+            for measure in (bjontegaard.bd_rate, bjontegaard.bd_psnr)
+        )
+    if not (math.isfinite(rate) and math.isfinite(psnr)):
+        raise RunError("BD-rate needs curves that have sizes and PSNRs in common")
+    return Difference(rate, psnr, "the curves have less than three quarters of their range in common" if caught else "")
+
+
+def _bd(rows: Sequence[Row], baseline: str) -> Iterator[str]:
+    """BD-rates of all other methods. Curves of the same scene and seed are compared."""
+    curves = grouped([one for one in rows if one["lambda_r"] > 0], "scene", "method", "seed")
+    body, means = [], dict[str, list[float]]()
     for scene, method in dict.fromkeys((scene, method) for scene, method, _ in curves if method != baseline):
-        rates, psnrs, reasons = {}, {}, {}
+        deltas, notes = dict[int, Difference](), dict[int, str]()
         for seed in [seed for *where, seed in curves if where == [scene, method]]:
-            anchor, test = curves.get((scene, baseline, seed), []), curves[scene, method, seed]
-            least = min(len(anchor), len(test))
             try:
-                if least < BD_POINTS:
-                    raise RunError(f"not enough points: {least}, but {BD_POINTS} are needed")
-                found = compare(anchor, test)
+                deltas[seed] = compare(curves.get((scene, baseline, seed), []), curves[scene, method, seed])
+                notes |= {seed: deltas[seed].warning} if deltas[seed].warning else {}
             except RunError as error:
-                reasons[seed] = str(error)
-                continue
-            rates[seed], psnrs[seed] = found.rate, found.psnr
-            if found.warning:
-                reasons[seed] = found.warning
-        yield Delta(scene, method, rates, psnrs, reasons)
+                notes[seed] = str(error)
+        rates = [delta.rate for delta in deltas.values()]
+        cells = [spread_text(rates, 2), spread_text([d.psnr for d in deltas.values()], 3)] if deltas else ["-", "-"]
+        seeds = ", ".join(f"{seed}: {delta.rate:+.2f}" for seed, delta in deltas.items())
+        words = dict.fromkeys(notes.values() if not deltas else (f"seed {seed}: {why}" for seed, why in notes.items()))
+        body.append([scene, method, str(len(deltas)), *cells, seeds, "; ".join(words)])
+        if rates:
+            means.setdefault(method, []).append(statistics.fmean(rates))
+    if not body:
+        yield "No other method has results."
+        return
+    yield from table(["scene", "method", "n", "BD-rate, %", "BD-PSNR, dB", "BD-rate of each seed", "notes"], body)
+    yield from ["", "Piecewise cubic interpolation (JCTVC-L1100) of the curve of each seed. Negative rates save bytes."]
+    several = [[method, str(len(v)), f"{statistics.fmean(v):+.2f}"] for method, v in means.items() if len(v) > 1]
+    if several:
+        yield from ["", *table(["method", "scenes", "mean BD-rate, %"], several)]
+
+
+def pairs(rows: Sequence[Row], baseline: str) -> list[list[str]]:
+    """Rows of a table: differences from the baseline at the same scene, lambda_r, seed and photograph.
+
+    Each has scene, method, lambda_r, the number of pairs of cells and of photographs in them, the quartiles of the
+    differences in PSNR (dB), and the median ratio of bytes.
+    """
+    known = {(one["scene"], one["lambda_r"], one["seed"]): one for one in rows if one["method"] == baseline}
+    body = []
+    for (scene, method, lambda_r), several in grouped(rows, "scene", "method", "lambda_r").items():
+        both = [(known[key], one) for one in several if (key := (scene, lambda_r, one["seed"])) in known]
+        more = [
+            psnr - other["images"][name]
+            for other, one in both
+            for name, psnr in one["images"].items()
+            if name in other["images"]
+        ]
+        if method != baseline and len(more) > 1:
+            quartiles = [f"{value:+.3f}" for value in statistics.quantiles(more, n=4, method="inclusive")]
+            ratio = statistics.median(one["bytes"] / other["bytes"] for other, one in both)
+            body.append([scene, method, f"{lambda_r:g}", f"{len(both)}, {len(more)}", *quartiles, f"{ratio:.3f}"])
+    return body
 
 
 # --- Markdown ---------------------------------------------------------------------------------------------------------
 
 
-def _table(head: Sequence[str], body: Sequence[Sequence[str]]) -> list[str]:
+def table(head: Sequence[str], body: Sequence[Sequence[str]]) -> list[str]:
+    """The lines of a table in Markdown."""
     return [f"| {' | '.join(cells)} |" for cells in (head, ["---"] * len(head), *body)]
 
 
@@ -131,52 +202,57 @@ def _figures(rows: Sequence[Row]) -> Iterator[str]:
     for (scene,), of_scene in grouped(rows, "scene").items():
         yield from ["", f"## {scene}", ""]
         body = []
-        for (method, rate), several in grouped(of_scene, "method", "rate").items():
-            figures = [spread([one[name] for one in several]).text(digits) for name, (_, digits) in _SHOWN.items()]
-            body.append([method, f"{rate:g}" if rate else "uncompressed", str(len(several)), *figures])
-        yield from _table(head, body)
+        for (method, lambda_r), several in grouped(of_scene, "method", "lambda_r").items():
+            figures = [spread_text([one[name] for one in several], digits) for name, (_, digits) in _SHOWN.items()]
+            body.append([method, f"{lambda_r:g}" if lambda_r else "uncompressed", str(len(several)), *figures])
+        yield from table(head, body)
 
 
-def _bd(rows: Sequence[Row], baseline: str, groups: Mapping[str, str]) -> Iterator[str]:
-    found = list(deltas(rows, baseline))
-    yield from ["", f"## BD-rates against {baseline}", ""]
-    if not found:
-        yield "No other method has results."
-        return
-    body = []
-    for one in found:
-        figures = [spread([*values.values()]) if values else None for values in (one.rates, one.psnrs)]
-        seeds = [f"{seed}: {value:+.2f}" for seed, value in one.rates.items()]
-        notes = dict.fromkeys(f"seed {seed}: {reason}" for seed, reason in one.reasons.items())
-        if len(set(one.reasons.values())) == 1 and not one.rates:
-            notes = dict.fromkeys(one.reasons.values())
-        cells = [figure.text(digits) if figure else "-" for figure, digits in zip(figures, (2, 3), strict=True)]
-        body.append([one.scene, one.method, str(len(one.rates)), *cells, ", ".join(seeds), "; ".join(notes)])
-    yield from _table(["scene", "method", "n", "BD-rate, %", "BD-PSNR, dB", "BD-rate of each seed", "notes"], body)
-    yield from ["", "Piecewise cubic interpolation (JCTVC-L1100) of the curve of each seed. Negative rates save bytes."]
-    # Only data sets of several scenes have a mean.
-    means: dict[tuple[str, str], list[float]] = {}
-    for one in found:
-        if one.rates:
-            means.setdefault((groups[one.scene], one.method), []).append(statistics.fmean(one.rates.values()))
-    several = [
-        [group, method, str(len(values)), f"{statistics.fmean(values):+.2f}"]
-        for (group, method), values in means.items()
-        if sum(name == group for name in groups.values()) > 1
-    ]
-    if several:
-        yield from ["", *_table(["group", "method", "scenes", "mean BD-rate, %"], several)]
-
-
-def as_markdown(title: str, rows: Sequence[Row], missing: str, baseline: str | None, groups: Mapping[str, str]) -> str:
-    """All tables. missing: text that names the missing cells, or empty. groups: the groups of scenes."""
-    lines = [f"# {title}", ""]
-    lines += [missing, ""] if missing else []
+def as_markdown(title: str, rows: Sequence[Row], missing: str, baseline: str | None) -> str:
+    """All tables. missing: text that names the missing cells, or empty."""
+    lines = [f"# {title}", "", *([missing, ""] if missing else [])]
     lines += [
         "Means over n seeds, ± the sample standard deviation. Figures are means over the held-out photographs.",
         "bytes: of the file, and of its parts; of float32 values where a scene is uncompressed. processor s: of the",
         "training, in all processors.",
         *_figures(rows),
     ]
-    lines += _bd(rows, baseline, groups) if baseline else []
+    if baseline:
+        lines += ["", f"## BD-rates against {baseline}", "", *_bd(rows, baseline)]
+        body = pairs(rows, baseline)
+        head = ["scene", "method", "lambda_r", "pairs, photographs", "first quartile, dB", "median, dB"]
+        head += ["third quartile, dB", "times the bytes"]
+        lines += ["", f"## Photographs against {baseline}, at the same lambda_r and seed", "", *table(head, body)]
     return "\n".join(lines) + "\n"
+
+
+# --- curves -----------------------------------------------------------------------------------------------------------
+
+
+def write_curves(folder: Path, rows: Sequence[Row]) -> None:
+    """Writes SCENE.png and SCENE.svg for each scene. Points are means over seeds, bars sample deviations."""
+    # The same rows give the same SVG.
+    with mpl.rc_context({"svg.hashsalt": "C3GS"}):
+        for (scene,), of_scene in grouped(rows, "scene").items():
+            figure = draw(scene, of_scene)
+            for suffix, notes in (("png", {}), ("svg", {"Date": None})):
+                data = io.BytesIO()
+                figure.savefig(data, dpi=150, format=suffix, metadata=notes)
+                write_file(folder / f"{scene}.{suffix}", data.getvalue())
+
+
+def draw(scene: str, rows: Sequence[Row]) -> Figure:
+    """The chart of one scene: bytes against PSNR. An uncompressed method is a ring. A NaN deviation has no bar."""
+    figure = Figure(figsize=(6.4, 4.4), layout="constrained")
+    axes = figure.subplots()
+    for (method,), of_method in grouped(rows, "method").items():
+        same = grouped(of_method, "lambda_r").values()
+        points = [[*spread([one["bytes"] for one in s]), *spread([one["psnr"] for one in s])] for s in same]
+        x, x_error, y, y_error = zip(*sorted(points), strict=True)
+        rated = any(one["lambda_r"] for one in of_method)
+        style: dict[str, Any] = {"fmt": "o-"} if rated else {"fmt": "o", "markerfacecolor": "none"}
+        axes.errorbar(x, y, xerr=x_error, yerr=y_error, label=method, capsize=2, **style)
+    axes.set(xscale="log", xlabel="bytes", ylabel="PSNR, dB", title=scene)
+    axes.grid(which="both", alpha=0.3)
+    axes.legend()
+    return figure

@@ -122,7 +122,7 @@ CASES = [
         slow=True,
     ),
     # All of its cells are done: it writes the table and the chart.
-    Case(f"rd photos -o curve --rates 0.01 {SMALL}", needs="torch matplotlib bjontegaard", slow=True),
+    Case(f"rd photos -o curve --lambdas 0.01 {SMALL}", needs="torch matplotlib bjontegaard", slow=True),
     Case(
         f"run --vectors suite --jobs 1 --report report -- {sys.executable} {DECODER}",
         (f"run --vectors suite --jobs 1 --report other -- {sys.executable} {DECODER}",),
@@ -193,18 +193,21 @@ def more_inputs(case: Case) -> None:
 
 def finished_curve(folder: Path) -> None:
     """Makes the result of the only cell of an experiment."""
-    from refcodec.experiments import cells, experiment, identity, rd  # noqa: PLC0415
+    from refcodec.experiments import cells, command, jobs, rd  # noqa: PLC0415
 
-    scene = {"name": "photos", "photographs": "photos", "size": "16", "holdout": 8}
+    scene = {"name": "photos", "photographs": "photos", "size": "16", "holdout": 8, "set": []}
     plan = rd.one_scene(scene, "fast", [0.01], uncompressed=False, seeds=[0], steps=4000)
     (cell,) = cells.cells(plan)
-    experiment.Folder(folder)
-    definition = cell.definition(identity.Identities(folder / experiment.PHOTOGRAPHS).digest(Path("photos")))
-    figures = {"bytes": 100, "parts": {}, "anchors": 5, "mean": dict.fromkeys(cells.FIGURES, 20.0)}
-    seconds = {name: {"train": 1.0} for name in ("seconds", "processor_seconds")}
-    head = {"format": cells.FORMAT, "hash": cells.hash_of(definition), "definition": definition, "sha256": None}
-    cell.folder(folder).mkdir(parents=True)
-    (cell.folder(folder) / cells.RESULT).write_text(json.dumps({**head, **figures, **seconds}))
+    jobs.claim(folder, command.MARK, command.FORMAT)
+    job = cell.job(folder, Path("photos"), command._digest(Path("photos")), 1)
+    record = {step.name: {"key": "", "seconds": 1.0, "processor_seconds": 1.0} for step in job.steps}
+    figures = {"bytes": 100, "parts": {}, "anchors": 5, "mean": dict.fromkeys(cells.Measures.__struct_fields__, 20.0)}
+    (cell.folder(folder) / "work").mkdir(parents=True)
+    for path, content in ((job.record, record), (job.steps[-1].output, {**figures, "images": []})):
+        path.write_text(json.dumps(content))
+    (cell.folder(folder) / "work" / "scene.c3gs").write_bytes(b"")
+    assert job.finish is not None
+    job.finish(job)
 
 
 def shorten(case: Case, patch: pytest.MonkeyPatch) -> None:
@@ -355,22 +358,24 @@ def test_nothing_is_written(status: int, words: str, inputs: Path, monkeypatch: 
 
 
 def test_the_runner_of_commands(tmp_path: Path, monkeypatch: Any) -> None:
-    """The notes of demo and rd, and the outputs that are printed."""
-    from refcodec.experiments import runs  # noqa: PLC0415
+    """The record of a job, and the outputs that are printed."""
+    from refcodec.experiments import jobs  # noqa: PLC0415
 
-    monkeypatch.setattr(runs, "PROGRAM", (sys.executable, "-S", "-c", "print('new')"))
+    monkeypatch.setattr(jobs, "PROGRAM", (sys.executable, "-S", "-c", "print('new')"))
     folder = tmp_path / "out"
     faults = Faults(folder)
 
     def run() -> None:
-        notes = runs.Notes.open(folder, "notes.json", "a format")
-        command = runs.Command("x", ("a",), folder / "x.json", printed=True)
-        runs.Runner(notes, lambda name, text: None, 1).run([[command]])
+        step = jobs.Step(("a",), folder / "x.json", printed=True)
+        outcome = jobs.run_job(jobs.Job("x", folder / "record.json", (step,)), lambda: 0)
+        if outcome.status:
+            raise OSError(outcome.text)
 
     def fresh() -> None:
         shutil.rmtree(folder, ignore_errors=True)
-        runs.Notes.open(folder, "notes.json", "a format")
+        folder.mkdir()
         (folder / "x.json").write_text("old\n")
+        (folder / "record.json").write_text("{}")
 
     fresh()
     with faults.watching():
@@ -382,6 +387,6 @@ def test_the_runner_of_commands(tmp_path: Path, monkeypatch: Any) -> None:
             fresh()
             with faults.watching(number, error), pytest.raises((OSError, KeyboardInterrupt)):
                 run()
-            assert {p.name for p in folder.iterdir()} <= {"notes.json", "x.json"}
+            assert {p.name for p in folder.iterdir()} <= {"record.json", "record.log", "x.json"}
             assert (folder / "x.json").read_text() in ("old\n", "new\n")
-            json.loads((folder / "notes.json").read_text())
+            json.loads((folder / "record.json").read_text())

@@ -324,46 +324,6 @@ def test_archives_of_points(kind: str, tmp_path: Path, capsys: Captured) -> None
     refused(capsys, "fit", file, "-o", tmp_path / "scene", "--steps", "1")
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "{}",
-        "[1]",
-        "[" * 100_000,
-        '{"format": "C3GS demo", "commands": [1]}',
-        '{"format": "C3GS demo", "commands": {"a": 3}}',
-        '{"format": "C3GS demo", "commands": {"a": {"arguments": [], "after": 3}}}',
-    ],
-)
-def test_notes_of_runs_are_checked(text: str, tmp_path: Path, capsys: Captured) -> None:
-    pytest.importorskip("bjontegaard")
-    folder = tmp_path / "demo"
-    folder.mkdir()
-    (folder / "demo.json").write_text(text)
-    photographs = ROOT / "examples" / "photographs" / "caliterra"
-    said = refused(capsys, "demo", "--photographs", photographs, "-o", folder)
-    assert "is not a folder of this command" in said
-
-
-def test_results_of_runs_are_checked(tmp_path: Path) -> None:
-    from refcodec.experiments.runs import RunError, is_evaluation, is_report, read_result  # noqa: PLC0415
-
-    for text in (
-        "",
-        "[]",
-        "{}",
-        '{"steps": "a"}',
-        '{"steps": 1, "history": [3]}',
-        '{"bytes": 1, "anchors": 1, "parts": 3}',
-    ):
-        (tmp_path / "a.json").write_text(text)
-        for check in (is_report, is_evaluation):
-            with pytest.raises(RunError, match=r"a\.json: .*; remove it"):
-                read_result(tmp_path / "a.json", check)
-    (tmp_path / "a.json").write_text('{"steps": 1, "history": []}')
-    assert read_result(tmp_path / "a.json", is_report) == {"steps": 1, "history": []}
-
-
 # --- images -----------------------------------------------------------------------------------------------------------
 
 
