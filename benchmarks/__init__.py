@@ -1,4 +1,1 @@
-"""Measurements of speed, size and quality; RESULTS.md has their output.
-
-`python -m benchmarks decode|scale` measures speed and scale. `python -m benchmarks.NAME` runs another benchmark.
-"""
+"""Measurements of speed, size and quality; RESULTS.md has their output. Each module states its command."""

@@ -1,92 +1,165 @@
-"""Measurements of speed and scale: python -m benchmarks decode|scale [--json] [--write]
+"""Decoding time of a large scene by each decoder, and time and memory by the number of anchors.
 
-By default it prints a table. --json prints all figures instead. --write also writes the section of RESULTS.md.
+python -m benchmarks decode [--anchors 421600] [--rounds 7] [--write]
+python -m benchmarks scale [--anchors 10000 ... 4000000] [--rounds 3] [--write]
+
+It prints a table; --write also writes the section of RESULTS.md. Each run is a process of its own, and the decoders
+take turns, so that the load of the machine affects all alike.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import os
+import shutil
+import subprocess
 import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from statistics import median
 from typing import Any
 
-from refcodec.bitstream.errors import BitstreamError
-from refcodec.files.text import printable
-from refcodec.statuses import DONE, FAULT, USAGE
+from tqdm import tqdm
 
-from .coding import coding, coding_lines
-from .contenders import DisagreementError
-from .large import KEPT, PAPER_ANCHORS, TRAINED
-from .results import write_section
-from .scale import SIZES, scale, scale_lines, write_plot
+from refcodec.bitstream.tables import tables_file
+from refcodec.statuses import DONE
 
-TITLES = {
-    "decode": "Decoding a large scene",
-    "scale": "Time and memory by the number of anchors",
-}
+from .large import KEPT, PAPER_ANCHORS, TRAINED, large
+from .resident import Usage, usage
+from .results import ROOT, machine, mib, publish, table
 
+SIZES = (10_000, 40_000, 100_000, PAPER_ANCHORS, 1_000_000, 4_000_000)
+# The paths of refcodec. `native` is the one that it chooses itself.
+PATHS = ("numpy", "native", "avx512vnni", "avx512", "avx2", "neon", "plain")
+# Restricts all libraries to one thread.
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "REFCODEC_THREADS"), "1")
+# The decoding time of the paper, on a GPU, for a scene of PAPER_ANCHORS anchors.
+PAPER_SECONDS = 13.1
 
-def _positive(word: str) -> int:
-    value = int(word)
-    if value < 1:
-        raise ValueError
-    return value
+# A command that decodes a file, and variables of its environment.
+Decoder = tuple[list[str], Mapping[str, str]]
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    tasks = parser.add_subparsers(dest="task", required=True)
-    each = {}
-    for task, text in (
-        ("decode", "each path of refcodec, the C decoder, constriction and the floor"),
-        ("scale", "whole and streaming decoding, by the number of anchors"),
-    ):
-        each[task] = tasks.add_parser(task, help=text, description=text)
-        each[task].add_argument("--json", action="store_true", help="print all figures as JSON")
-        each[task].add_argument("--write", action="store_true", help="write the section of benchmarks/RESULTS.md")
-        each[task].add_argument("--trained", type=Path, default=TRAINED, help="the scene whose symbols are coded")
-    each["decode"].add_argument("--anchors", type=_positive, default=PAPER_ANCHORS)
-    each["decode"].add_argument("--rounds", type=_positive, default=7)
-    each["scale"].add_argument("--sizes", type=_positive, nargs="+", default=list(SIZES), metavar="ANCHORS")
-    each["scale"].add_argument("--rounds", type=_positive, default=3)
-    return parser
+def decoding(way: str, path: Path, native: str = "native", threads: int = 1) -> Decoder:
+    """Returns a way of decoding.py on a path of refcodec."""
+    variables = {**ONE_THREAD, "REFCODEC_PATH": native, "REFCODEC_THREADS": str(threads)}
+    return [sys.executable, "-m", "benchmarks.decoding", way, str(path)], variables
 
 
-def _figures(options: argparse.Namespace, kept: Path) -> tuple[dict[str, Any], list[str]]:
-    """Returns the figures of a task, and the lines of its section."""
-    if options.task == "scale":
-        figures = scale(options.trained, options.sizes, options.rounds, kept)
-        return figures, scale_lines(figures)
-    figures = coding(options.trained, options.anchors, options.rounds, kept)
-    return figures, coding_lines(figures)
+def c_decoder(kept: Path = KEPT) -> Path:
+    """Compiles the decoder in C, and returns its program. Raises OSError without a C compiler."""
+    kept.mkdir(parents=True, exist_ok=True)
+    source, program = ROOT / "conformance" / "c" / "decoder.c", kept / "decoder"
+    subprocess.run(["cc", "-std=c11", "-O3", "-march=native", source, "-o", program], check=True)
+    return program
+
+
+def decoders(path: Path, kept: Path) -> dict[str, Decoder]:
+    """Returns the decoders of a file that this machine may have."""
+    made = {f"refcodec, {name}": decoding("whole", path, name) for name in PATHS}
+    made |= {f"refcodec, {name}, with the digest": decoding("digest", path, name) for name in ("numpy", "native")}
+    if (cores := os.cpu_count() or 1) > 1:
+        made[f"refcodec, native, {cores} threads"] = decoding("whole", path, "native", cores)
+    if shutil.which("cc"):
+        made["C decoder, with the digest"] = (
+            [str(c_decoder(kept)), "digest", str(path)],
+            {"C3GS_TABLES": str(tables_file())},
+        )
+    if shutil.which("node"):
+        made["JavaScript and WebAssembly"] = ["node", str(ROOT / "benchmarks" / "decoding.mjs"), str(path)], {}
+    return made
+
+
+def in_turn(wanted: Mapping[str, Decoder], rounds: int) -> dict[str, list[tuple[Usage, dict[str, Any]]]]:
+    """Runs each decoder once in each round. Returns what the processes took and printed.
+
+    Decoders that this machine does not have are left out. Those that print no JSON, as the decoder in C, have their
+    digest after the first word, and the times of the process.
+    """
+    runs: dict[str, list[tuple[Usage, dict[str, Any]]]] = {name: [] for name in wanted}
+    for number in tqdm(range(rounds * len(wanted)), leave=False):
+        name = [*wanted][number % len(wanted)]
+        spent = usage(*wanted[name])
+        if spent.status == DONE:
+            process = {"seconds": spent.seconds, "processor": spent.processor}
+            own = spent.printed.startswith("{")
+            runs[name].append(
+                (spent, json.loads(spent.printed) if own else process | {"digest": spent.printed.split()[1]})
+            )
+    return {name: own for name, own in runs.items() if own}
+
+
+def decode(anchors: int, rounds: int, kept: Path = KEPT) -> list[str]:
+    """Returns the lines of the section about a large scene. Raises ValueError if digests differ."""
+    path, facts = large(anchors, kept), machine("torch")
+    runs = {name: [found for _, found in own] for name, own in in_turn(decoders(path, kept), rounds).items()}
+    digests = {found["digest"] for own in runs.values() for found in own if "digest" in found}
+    if len(digests) != 1:
+        raise ValueError(f"the decoders disagree: {', '.join(sorted(digests))}")
+    base, rows = runs["refcodec, native"], []
+    for name, own in runs.items():
+        row = [f"{median(found[clock] for found in own):.3f}" for clock in ("seconds", "processor")]
+        ratio = median(one["processor"] / other["processor"] for one, other in zip(own, base, strict=True))
+        rows.append([name, *row, f"{ratio:.2f}"])
+    return [
+        facts,
+        f"{anchors:,} anchors, {path.stat().st_size:,} bytes, with the symbols of `{TRAINED.name}`: its anchors are",
+        "repeated, and each copy has its own chunks. Medians of the times of all symbols and float32 values; ratios of",
+        f"the same round. One thread each unless stated. That of C includes the start of the process. {rounds} rounds.",
+        "",
+        *table(["decoder", "seconds", "processor seconds", "times of `refcodec, native`"], rows),
+        "",
+        f"The digest of all results is {digests.pop()[:16]}.",
+        *(
+            [f"The paper's own decoder takes {PAPER_SECONDS} s for a scene of this size, on a GPU."]
+            * (anchors == PAPER_ANCHORS)
+        ),
+    ]
+
+
+def scale(sizes: Sequence[int], rounds: int, kept: Path = KEPT) -> list[str]:
+    """Returns the lines of the section about whole and streaming decoding."""
+    facts, rows = machine(), []
+    paths = {size: large(size, kept) for size in sizes}
+    wanted = {
+        f"{size} {way}": decoding(way, path, threads=os.cpu_count() or 1)
+        for size, path in paths.items()
+        for way in ("whole", "streaming")
+    }
+    for name, own in in_turn(wanted, rounds).items():
+        size, way = name.split()
+        times = [median(found[clock] for _, found in own) for clock in ("seconds", "processor")]
+        row = [f"{int(size):,}", f"{paths[int(size)].stat().st_size:,}", way, *(f"{time:.2f}" for time in times)]
+        rows.append([*row, f"{1e6 * times[1] / int(size):.2f}", mib(max(spent.peak for spent, _ in own))])
+    head = ["anchors", "bytes", "decode", "seconds", "processor seconds", "of an anchor, µs", "resident MiB"]
+    return [
+        facts,
+        f"Medians of {rounds} rounds, and the largest peak memory. Whole decoding holds the scene. Streaming decoding",
+        "reads the file in blocks, and releases each chunk. The symbols are those of `decode`.",
+        "",
+        *table(head, rows),
+    ]
 
 
 def main(words: list[str] | None = None, kept: Path = KEPT) -> int:
     """Measures and prints. Returns the exit status. kept: the folder of large scenes."""
-    words = sys.argv[1:] if words is None else words
-    options = _parser().parse_args(words)
-    try:
-        figures, lines = _figures(options, kept)
-    except DisagreementError as error:
-        print(error, file=sys.stderr)
-        return FAULT
-    except (OSError, BitstreamError) as error:
-        print(printable(str(error)), file=sys.stderr)
-        return USAGE
-    print(json.dumps(figures, indent=1) if options.json else "\n".join(lines))
-    if options.write:
-        if options.task == "scale":
-            write_plot(figures)
-        shown = " ".join(word for word in words if word not in ("--json", "--write"))
-        write_section(
-            options.task,
-            TITLES[options.task],
-            [f"`python -m benchmarks {shown}`", "", *lines],
-        )
-    return DONE
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("task", choices=("decode", "scale"))
+    parser.add_argument("--anchors", type=int, nargs="+")
+    parser.add_argument("--rounds", type=int)
+    parser.add_argument("--write", action="store_true", help="write the section of benchmarks/RESULTS.md")
+    options = parser.parse_args(words)
+    if options.task == "decode":
+        anchors, rounds = (options.anchors or [PAPER_ANCHORS])[:1], options.rounds or 7
+        title, lines = "Decoding a large scene", decode(anchors[0], rounds, kept)
+    else:
+        anchors, rounds = options.anchors or list(SIZES), options.rounds or 3
+        title, lines = "Time and memory by the number of anchors", scale(anchors, rounds, kept)
+    command = f"`python -m benchmarks {options.task} --anchors {' '.join(map(str, anchors))} --rounds {rounds}`"
+    return publish(options.task, title, [command, "", *lines], options.write)
 
 
 if __name__ == "__main__":

@@ -1,39 +1,29 @@
-"""Splat files converted to C3GS, compared with SPZ and SOG of the same file.
+"""Splat files converted to C3GS, compared with SPZ and SOG of the same file: a section of RESULTS.md.
 
-python -m benchmarks.converted FOLDER SPLATS ... --up=-y [--steps 4000] [--rates 0.001 0.004 0.015] [--fast 35 40 46 52]
-    [--write]
+python -m benchmarks.converted FOLDER SPLATS ... --up=-y [--lambdas 0.001 0.004 0.015] [--fast 35 40 46 52] [--write]
 
 `refcodec convert` trains a scene from views of each file of SPLATS, and the scene is encoded. `refcodec convert --fast`
 codes the Gaussians themselves. refcodec and splat-transform write SPZ and SOG. Test cameras compare renderings of all
-files with those of SPLATS. FOLDER keeps files and figures: existing ones are reused, and an interrupted training is
-resumed. --write writes a section of RESULTS.md.
+files with those of SPLATS. FOLDER keeps the files: finished commands are not repeated, interrupted trainings go on.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
-import os
-import subprocess
 import sys
-import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from statistics import fmean
 
-import numba
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from refcodec.bitstream.codec import parse
 from refcodec.convert.drawing import drawn, tensors
 from refcodec.convert.views import AXES, NEAR, NEAR_MAX, TEST, TEST_EVERY, middle_and_radius, orbit
 from refcodec.evaluate.quality import measures
-from refcodec.files.outputs import check_apart
+from refcodec.experiments.jobs import Job, RunError, Step, Watch, run_jobs
 from refcodec.files.text import printable
 from refcodec.formats.common import Options
 from refcodec.formats.splats import Splats
@@ -41,189 +31,121 @@ from refcodec.formats.table import read_splats, write_splats
 from refcodec.rendering.camera import Camera, axis_direction
 from refcodec.rendering.rasterise import Settings
 from refcodec.rendering.view import View, eight_bits
-from refcodec.statuses import DONE, USAGE, UsageError
+from refcodec.statuses import DONE, INTERRUPTED, USAGE, UsageError
 
-from .exports.making import Record, kept
 from .peers.convert import INSTALL, VERSION, ToolError, convert, tool
-from .results import machine, table, write_section
+from .results import machine, publish, table
 
 OWN, TOOL = "refcodec", f"splat-transform {VERSION}"
 FORMATS = (".spz", ".sog")
-# lambda_r of the training runs.
-RATES = (0.001, 0.004, 0.015)
-# The qualities of convert --fast, dB.
-QUALITIES = (35.0, 40.0, 46.0, 52.0)
-# Training runs at a time.
-JOBS = 2
+HEAD = ["of", "file", "by", "bytes", "of the splat file", "PSNR, dB", "SSIM", "", "processor, s"]
+NOTE = (
+    "Test cameras compare the eight-bit renderings of all files with those of the splat file, by scikit-image. SPZ and",
+    "SOG are read by the program that wrote them, and rendered as plain 3DGS. One thread each.",
+)
 
 
-@dataclass(frozen=True)
 class Source:
-    """A splat file. up: its upward axis, of AXES. views: training pictures. size: their sides in pixels."""
+    """A splat file, and the pictures of its test cameras, which are those of refcodec convert.
 
-    file: Path
-    up: str
-    views: int
-    size: int
+    up: its upward axis, of AXES. views: training pictures. size: their sides in pixels.
+    """
 
-    @property
-    def name(self) -> str:
-        """The name in files and tables."""
-        return self.file.name.removesuffix(self.file.suffix).removesuffix(".compressed")
+    def __init__(self, file: Path, up: str, views: int, size: int) -> None:
+        """Raises ValueError and OSError."""
+        self.file, self.splats = file, read_splats(file)
+        self.name = file.name.removesuffix(file.suffix).removesuffix(".compressed")
+        self.options = ("--views", str(views), f"--up={up}", "--size", str(size))
+        self.cameras = orbit(self.splats, AXES[up], size, views, max(views // TEST_EVERY, 1))[TEST]
+        self.settings = Settings(near_plane=min(NEAR * middle_and_radius(self.splats)[1], NEAR_MAX))
 
-    @cached_property
-    def splats(self) -> Splats:
-        """The Gaussians."""
-        return read_splats(self.file)
-
-    @cached_property
-    def cameras(self) -> list[Camera]:
-        """The test cameras of refcodec convert."""
-        tests = max(self.views // TEST_EVERY, 1)
-        return orbit(self.splats, AXES[self.up], self.size, self.views, tests)[TEST]
-
-    @cached_property
-    def settings(self) -> Settings:
-        """The settings of the pictures."""
-        _, radius = middle_and_radius(self.splats)
-        return Settings(near_plane=min(NEAR * radius, NEAR_MAX))
+    def image(self, splats: Splats, camera: Camera) -> NDArray[np.float32]:
+        """Returns a picture of Gaussians by a camera."""
+        picture: NDArray[np.float32] = drawn(tensors(splats), camera, self.settings)[0].numpy()
+        return picture
 
     @cached_property
     def truth(self) -> list[NDArray[np.uint8]]:
         """The test pictures of the file itself."""
         return [eight_bits(self.image(self.splats, camera)) for camera in self.cameras]
 
-    def image(self, splats: Splats, camera: Camera) -> NDArray[np.float32]:
-        """Returns a picture of Gaussians by a camera."""
-        found: NDArray[np.float32] = drawn(tensors(splats), camera, self.settings)[0].numpy()
-        return found
-
-    def compared(self, image: Callable[[Camera], NDArray[np.float32]]) -> dict[str, float]:
-        """Returns the means of the measures over the test cameras."""
+    def row(
+        self, label: str, by: str, file: Path, image: Callable[[Camera], NDArray[np.float32]], *more: str
+    ) -> list[str]:
+        """Returns the row of a file."""
         rows = [measures(image(camera), right) for camera, right in zip(self.cameras, self.truth, strict=True)]
-        return {name: float(np.mean([row[name] for row in rows])) for name in ("psnr", "ssim")}
+        size = file.stat().st_size
+        figures = [f"{fmean(row['psnr'] for row in rows):.2f}", f"{fmean(row['ssim'] for row in rows):.4f}"]
+        return [
+            self.name,
+            label,
+            by,
+            f"{size:,}",
+            f"{size / self.file.stat().st_size:.3f}",
+            *figures,
+            *(more or ("", "")),
+        ]
 
-
-def packed_record(source: Source, suffix: str, maker: str, folder: Path) -> Record:
-    """Returns bytes and measures of SPZ or SOG, written and read by its maker. Raises ToolError."""
-
-    by = maker.partition(" ")[0]
-    file = folder / f"{source.name}-{by}{suffix}"
-
-    def made() -> Record:
+    def packed(self, suffix: str, maker: str, folder: Path) -> list[str]:
+        """Returns the row of SPZ or SOG, written and read by its maker. Raises ToolError."""
+        file = folder / f"{self.name}-{maker.partition(' ')[0]}{suffix}"
+        again = file.with_name(f"{file.name}.ply")
         if maker == OWN:
-            data = write_splats(source.splats, suffix, Options(axis_direction(0)))
-            file.write_bytes(data)
-            splats = read_splats(file)
+            file.write_bytes(write_splats(self.splats, suffix, Options(axis_direction(0))))
         else:
-            again = file.with_name(f"{file.name}.ply")
-            convert(source.file, file)
+            convert(self.file, file)
             convert(file, again)
-            splats = read_splats(again)
-            again.unlink()
-        return {"bytes": file.stat().st_size, **source.compared(lambda camera: source.image(splats, camera))}
+        splats = read_splats(file if maker == OWN else again)
+        return self.row(suffix, maker, file, lambda camera: self.image(splats, camera))
 
-    return kept(folder / f"{source.name}-{by}{suffix}-{source.views}-{source.size}px.json", made)
+    def jobs(self, lambdas: Sequence[float], qualities: Sequence[float], steps: int, folder: Path) -> dict[str, Job]:
+        """Returns the jobs that make the files of C3GS, by their words in the table. The last step makes the file."""
+        made: dict[str, Job] = {}
 
+        def convert_to(place: Path, output: Path, *words: str) -> Step:
+            words = ("convert", str(self.file), "-o", str(place), *words)
+            state = place.with_name(f"{place.name}.train-state") if place != output else None
+            return Step(words, output, (self.file,), state=state)
 
-def refcodec(*words: str) -> None:
-    """Runs a command of refcodec with one thread. Raises SystemExit with its errors if it fails."""
-    command = [sys.executable, "-m", "refcodec", *words]
-    environment = {**os.environ, "OMP_WAIT_POLICY": "PASSIVE", "NUMBA_NUM_THREADS": "1"}
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
-    if done.returncode:
-        raise SystemExit(f"refcodec {' '.join(words)}: {done.stderr}")
-
-
-def coded_record(source: Source, rate: float, steps: int, folder: Path) -> Record:
-    """Returns bytes and measures of the file that convert and encode make, and its training time.
-
-    Raises SystemExit with the message of a failing command.
-    """
-    name = f"{source.name}-{source.views}-{source.size}px-{steps}-{rate:g}"
-
-    def made() -> Record:
-        scene, file = folder / name, folder / f"{name}.c3gs"
-        resume = ["--resume"] if scene.with_name(f"{name}.train-state").exists() else []
-        words = ["--views", str(source.views), f"--up={source.up}", "--size", str(source.size)]
-        words += ["--steps", str(steps), "--lambda", f"{rate:g}"]
-        if not scene.exists() or resume:
-            refcodec("convert", str(source.file), "-o", str(scene), *words, *resume)
-        refcodec("encode", str(scene), "-o", str(file))
-        data = file.read_bytes()
-        view = View(parse(data).scene)
-        report = json.loads((scene / "training.json").read_text())
-        own: dict[str, Any] = {"bytes": len(data), "anchors": len(view.masks), "seconds": report["seconds"]}
-        return {**own, **source.compared(view.draw)}
-
-    return kept(folder / f"{name}.json", made)
+        for psnr in qualities:
+            file = folder / f"{self.name}-fast-{psnr:g}.c3gs"
+            step = convert_to(file, file, "--fast", "--psnr", f"{psnr:g}", self.options[2])
+            made[f"--fast --psnr {psnr:g}"] = Job(file.stem, file.with_suffix(".json"), (step,))
+        for value in lambdas:
+            scene, file = folder / f"{self.name}-{value:g}", folder / f"{self.name}-{value:g}.c3gs"
+            report, more = scene / "training.json", ("--steps", str(steps), "--lambda", f"{value:g}")
+            train = convert_to(scene, report, *self.options, *more)
+            encode = Step(("encode", str(scene), "-o", str(file)), file, (report,))
+            made[f"lambda_r {value:g}"] = Job(scene.name, Path(f"{scene}.json"), (train, encode))
+        return made
 
 
-def fast_record(source: Source, psnr: float, folder: Path) -> Record:
-    """Returns bytes and measures of the file that convert --fast makes, and the seconds of this command.
-
-    Raises SystemExit with the message of a failing command.
-    """
-    name = f"{source.name}-fast-{psnr:g}"
-
-    def made() -> Record:
-        file, start = folder / f"{name}.c3gs", time.perf_counter()
-        refcodec("convert", str(source.file), "-o", str(file), "--fast", "--psnr", f"{psnr:g}", f"--up={source.up}")
-        seconds, data = time.perf_counter() - start, file.read_bytes()
-        view = View(parse(data).scene)
-        own: dict[str, Any] = {"bytes": len(data), "anchors": len(view.masks), "seconds": seconds}
-        return {**own, **source.compared(view.draw)}
-
-    return kept(folder / f"{name}-{source.views}-{source.size}px.json", made)
-
-
-# --- the section ------------------------------------------------------------------------------------------------------
-
-NOTE = (
-    "Test cameras compare the eight-bit renderings of all files with those of the splat file, by scikit-image. SPZ and",
-    "SOG are read by the program that wrote them, and rendered as plain 3DGS.",
-    f"Two training runs in parallel, one thread each. {TOOL} is a third-party program. The seconds of --fast",
-    "are those of the whole command with one thread.",
-)
-
-
-def _rows(source: Source, packed: dict[tuple[str, str], Record], coded: dict[str, Record]) -> list[list[str]]:
-    own = source.file.stat().st_size
-    rows = [[source.file.name, "", f"{own:,}", "1", "", "", f"{len(source.splats.mean):,} Gaussians", ""]]
-
-    def row(label: str, by: str, found: Record, what: str = "", seconds: str = "") -> list[str]:
-        share = f"{found['bytes'] / own:.3f}"
-        return [label, by, f"{found['bytes']:,}", share, f"{found['psnr']:.2f}", f"{found['ssim']:.4f}", what, seconds]
-
-    rows += [row(suffix, maker, found) for (suffix, maker), found in packed.items()]
-    for by, found in coded.items():
-        rows.append(row(".c3gs", by, found, f"{found['anchors']:,} anchors", f"{found['seconds']:.0f}"))
-    return rows
-
-
-def section(
-    sources: Sequence[Source], rates: Sequence[float], qualities: Sequence[float], steps: int, folder: Path
-) -> list[str]:
-    """Returns the lines of the section. Raises ToolError, UsageError, ValueError, OSError and SystemExit."""
-    torch.set_num_threads(1)
-    numba.set_num_threads(1)
+def section(sources: Sequence[Source], options: argparse.Namespace) -> list[str]:
+    """Returns the lines of the section. Raises ToolError, UsageError, RunError, ValueError and OSError."""
     if tool() is None:
         raise ToolError(f"splat-transform is missing: run `{INSTALL}` in the repository's folder")
+    folder, rows = options.folder.absolute(), list[list[str]]()
     folder.mkdir(parents=True, exist_ok=True)
-    lines = []
-    head = ["file", "by", "bytes", "of the splat file", "PSNR, dB", "SSIM", "of", "seconds"]
+    if folder in [source.file.absolute().parent for source in sources]:
+        raise ToolError(f"{folder} has a splat file: choose another folder for the results")
     for source in sources:
-        makers = [(suffix, maker) for suffix in FORMATS for maker in (OWN, TOOL)]
-        places = [folder / f"{source.name}-{maker.partition(' ')[0]}{suffix}" for suffix, maker in makers]
-        check_apart([*places, *(folder / f"{place.name}.ply" for place in places)], [s.file for s in sources])
-        packed = {(suffix, maker): packed_record(source, suffix, maker, folder) for suffix, maker in makers}
-        source.truth  # noqa: B018 (drawn once, before threads ask for it)
-        fast = {f"--fast --psnr {psnr:g}": fast_record(source, psnr, folder) for psnr in qualities}
-        with ThreadPoolExecutor(JOBS) as pool:
-            found = pool.map(lambda rate, of=source: coded_record(of, rate, steps, folder), rates)
-            coded = dict(zip([f"lambda_r {rate:g}" for rate in rates], found, strict=True))
-        lines += [f"### {source.name}", "", *table(head, _rows(source, packed, fast | coded)), ""]
-    return lines
+        jobs = source.jobs(options.lambdas, options.fast, options.steps, folder)
+        outcomes, stopped = run_jobs([*jobs.values()], options.jobs, watch=Watch(len(jobs), 0))
+        for outcome in outcomes:
+            if outcome.status != DONE:
+                raise RunError(outcome.text, outcome.status)
+        if stopped:
+            raise RunError("stopped; the same command continues", INTERRUPTED)
+        own = source.file.stat().st_size
+        gaussians = f"{len(source.splats.mean):,} Gaussians"
+        rows.append([source.name, source.file.suffix, "", f"{own:,}", "1", "", "", gaussians, ""])
+        rows += [source.packed(suffix, maker, folder) for suffix in FORMATS for maker in (OWN, TOOL)]
+        for by, job in jobs.items():
+            view = View(parse(job.steps[-1].output.read_bytes()).scene)
+            spent = f"{job.entries()['convert'].processor_seconds:.0f}"
+            anchors = f"{len(view.masks):,} anchors"
+            rows.append(source.row(".c3gs", by, job.steps[-1].output, view.draw, anchors, spent))
+    return table(HEAD, rows)
 
 
 def main(words: list[str] | None = None) -> int:
@@ -234,28 +156,23 @@ def main(words: list[str] | None = None) -> int:
     parser.add_argument("folder", type=Path)
     parser.add_argument("splats", type=Path, nargs="+")
     parser.add_argument("--up", choices=AXES, default="-y", help="axis that is up (-y); write --up=-y")
-    parser.add_argument("--views", type=int, default=200, help="training pictures (200)")
-    parser.add_argument("--size", type=int, default=400, help="their sides in pixels (400)")
-    parser.add_argument("--steps", type=int, default=4000, help="of each training (4000)")
-    parser.add_argument("--fast", type=float, nargs="*", default=list(QUALITIES), metavar="DB", help="qualities, dB")
-    parser.add_argument("--rates", type=float, nargs="*", default=list(RATES), metavar="L", help="lambda_r")
+    for name, default, text in (("views", 200, "training pictures"), ("size", 400, "their sides"), ("steps", 4000, "")):
+        parser.add_argument(f"--{name}", type=int, default=default, help=f"{text} ({default})")
+    parser.add_argument("--jobs", type=int, default=2, help="training runs at a time (2)")
+    parser.add_argument("--fast", type=float, nargs="*", default=[35, 40, 46, 52], metavar="DB", help="qualities, dB")
+    parser.add_argument("--lambdas", type=float, nargs="*", default=[0.001, 0.004, 0.015], metavar="L", help="lambda_r")
     parser.add_argument("--write", action="store_true", help="write the section of benchmarks/RESULTS.md")
     options = parser.parse_args(words)
-    sources = [Source(file, options.up, options.views, options.size) for file in options.splats]
     try:
-        lines = section(sources, options.rates, options.fast, options.steps, options.folder)
+        sources = [Source(file, options.up, options.views, options.size) for file in options.splats]
+        lines = section(sources, options)
     except (ToolError, UsageError, ValueError, OSError) as error:
-        print(printable(str(error)), file=sys.stderr)
+        print(printable(str(error), lines=True), file=sys.stderr)
         return USAGE
-    print("\n".join(lines))
-    if options.write:
-        shown = ["python -m benchmarks.converted FOLDER", *(s.file.name for s in sources), f"--up={options.up}"]
-        shown += [f"--views {options.views} --size {options.size} --steps {options.steps}"]
-        shown += ["--rates", *(f"{rate:g}" for rate in options.rates)]
-        shown += ["--fast", *(f"{psnr:g}" for psnr in options.fast), "--write"]
-        made = ["```", INSTALL, " ".join(shown), "```", "", machine("torch"), *NOTE, ""]
-        write_section("converted", "Converted splat files", [*made, *lines])
-    return DONE
+    files = " ".join(source.file.name for source in sources)
+    command = f"`python -m benchmarks.converted FOLDER {files} --up={options.up}`"
+    made = [command, "", machine("torch"), *NOTE, "", *lines]
+    return publish("converted", "Converted splat files", made, options.write)
 
 
 if __name__ == "__main__":

@@ -20,13 +20,13 @@ from refcodec.bitstream.reconstruction import reconstruct
 from refcodec.bitstream.scene import Scene
 from refcodec.encoder.quantise import packed
 from refcodec.photographs.photographs import PhotographSet, parse_size, read_photographs
-from refcodec.statuses import DONE, USAGE
+from refcodec.statuses import USAGE
 from refcodec.train.command import report
 from refcodec.train.settings import TrainSettings
 from refcodec.train.settings_file import varied
 from refcodec.train.trainer import Trainer
 
-from .results import ROOT, machine, table, write_section
+from .results import ROOT, machine, publish, table
 
 HEAD = ["device", "phase", "steps", "median ms of a step"]
 
@@ -72,10 +72,7 @@ def main(words: list[str] | None = None) -> int:
     command = f"python -m benchmarks.gpu --size {options.size} --steps {options.steps} --write"
     gpu = f"GPU: {torch.cuda.get_device_name()}, CUDA {torch.version.cuda}."
     lines = [f"`{command}`", "", machine("torch"), gpu, cuda[1], cpu[1], "", *table(HEAD, [*cpu[0], *cuda[0]])]
-    print("\n".join(lines))
-    if options.write:
-        write_section("gpu", "Training on a GPU beside the CPU", lines)
-    return DONE
+    return publish("gpu", "Training on a GPU beside the CPU", lines, options.write)
 
 
 if __name__ == "__main__":

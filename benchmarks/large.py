@@ -7,37 +7,34 @@ scene, so that decoding has the same work:
 - F_h and CARM get the hidden units that the encoder chooses for 421,600 anchors. The new units are copies of the
   trained ones, with zero weights in the next layer. Thus all outputs are those of the trained networks.
 - The planes get the size that the encoder chooses for the number of anchors, by interpolation. Rounding changes the
-  contexts and the bytes slightly, as `Large.attribute_bits` shows.
+  contexts and the bytes slightly.
 """
 
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from refcodec.bitstream.attributes import Attributes
-from refcodec.bitstream.chunks import chunk_ranges, read_chunk
+from refcodec.bitstream.chunks import chunk_ranges
 from refcodec.bitstream.codec import derive_steps, emit, parse
 from refcodec.bitstream.dimensions import RENDER_MODELS, RENDERING, STATIC
-from refcodec.bitstream.directory import DATA, INDEX
-from refcodec.bitstream.header import emit_file, read_header
-from refcodec.bitstream.index import ENTRY_BYTES
-from refcodec.bitstream.limits import MAIN, PROFILES, minimal_level
+from refcodec.bitstream.limits import MAIN
 from refcodec.bitstream.networks import ACTIVATION_MAX, Layer
-from refcodec.bitstream.planes import PLANES, assemble_planes
-from refcodec.bitstream.reader import Reader
+from refcodec.bitstream.planes import assemble_planes
 from refcodec.bitstream.reconstruction import reconstruct
 from refcodec.bitstream.scene import Scene, take_anchors
-from refcodec.bitstream.source import WholeFile
 from refcodec.bitstream.splat import OUTPUT_BITS
 from refcodec.encoder.positions import morton_order, position_model
 from refcodec.encoder.sizes import CHUNK_SIZE, choose_lanes, choose_plane_size, choose_width
+from refcodec.files.stage import write_file
 
-ROOT = Path(__file__).resolve().parent.parent
+from .results import ROOT
+
 # The folder of cached files, which Git ignores.
 KEPT = ROOT / "out" / "benchmarks"
 # The trained scene, and the number of anchors of the paper's largest one.
@@ -45,64 +42,33 @@ TRAINED = ROOT / "vectors" / "valid" / "trained-snowmiku.c3gs"
 PAPER_ANCHORS = 421_600
 
 
-@dataclass(frozen=True)
-class Large:
-    """A large scene. attribute_bits: bits of an anchor's attributes in the trained file, and in this one."""
+def large(anchors: int, kept: Path = KEPT, static: bool = False) -> Path:
+    """Returns the file of a scene with a number of anchors, which is cached by its source and the text of this module.
 
-    path: Path
-    trained: Path
-    anchors: int
-    attribute_bits: tuple[float, float]
-
-    def figures(self) -> dict[str, object]:
-        """Returns the figures of the scene for tables and JSON."""
-        data = self.path.read_bytes()
-        d, before = read_header(WholeFile(data)).dimensions, self.attribute_bits
-        return {
-            "anchors": self.anchors,
-            "bytes": len(data),
-            "sha256": hashlib.sha256(data).hexdigest(),
-            "trained": self.trained.name,
-            "hidden": [list(d.hyper_width), list(d.sarm_width), list(d.carm_width)],
-            "planes": [PLANES, d.plane_channels, d.plane_size],
-            "attribute_bits": {"trained": before[0], "large": before[1]},
-        }
-
-
-def large(trained: Path, anchors: int, kept: Path = KEPT, static: bool = False) -> Large:
-    """Returns the scene with a number of anchors. Its file is cached by its sources and the text of this module.
-
-    trained: a file of Main with planes. anchors: at least 1. static: whether it is made static.
+    anchors: at least 1. static: whether it is made static.
     """
-    source = trained.read_bytes()
+    source = TRAINED.read_bytes()
     made_of = source + f"{anchors} {static}".encode() + Path(__file__).read_bytes()
-    path = kept / f"{trained.stem}-{anchors}-{hashlib.sha256(made_of).hexdigest()[:16]}.c3gs"
+    path = kept / f"{TRAINED.stem}-{anchors}-{hashlib.sha256(made_of).hexdigest()[:16]}.c3gs"
     if not path.exists():
-        kept.mkdir(parents=True, exist_ok=True)
-        temporary = path.with_suffix(".part")
         scene = parse(source).scene
-        temporary.write_bytes(large_file(made_static(scene) if static else scene, anchors))
-        temporary.replace(path)
-    return Large(path, trained, anchors, (attribute_bits(source), attribute_bits(path.read_bytes())))
+        write_file(path, large_file(made_static(scene, 3) if static else scene, anchors))
+    return path
 
 
 def large_file(trained: Scene, anchors: int) -> bytes:
-    """Returns the file of a scene with a number of anchors and the symbols of a trained scene.
-
-    Only one copy is encoded. The other copies repeat its chunks byte for byte.
-    """
+    """Returns the file of a scene with a number of anchors and the symbols of a trained scene."""
     copy = _grown(take_anchors(trained, morton_order(trained.positions)), anchors)
-    copies, rest = divmod(anchors, copy.anchor_count)
-    if copies == 0:
-        copy, copies, rest = take_anchors(copy, np.arange(anchors)), 1, 0
-    each = [len(chunk) for chunk in chunk_ranges(copy.anchor_count, CHUNK_SIZE)]
-    last = [len(chunk) for chunk in chunk_ranges(rest, CHUNK_SIZE)]
-    scene = replace(
-        take_anchors(copy, np.concatenate([np.arange(copy.anchor_count), np.arange(rest)])),
-        chunk_anchors=(*each, *last),
-        position_model=position_model(copy.positions, CHUNK_SIZE),
+    rows = np.arange(anchors) % copy.anchor_count
+    starts = range(0, anchors, copy.anchor_count)
+    copies = [chunk_ranges(min(copy.anchor_count, anchors - start), CHUNK_SIZE) for start in starts]
+    return emit(
+        replace(
+            take_anchors(copy, rows),
+            chunk_anchors=tuple(len(chunk) for chunks in copies for chunk in chunks),
+            position_model=position_model(copy.positions[: len(rows)], CHUNK_SIZE),
+        )
     )
-    return _repeated(emit(scene), len(each), copies)
 
 
 def _grown(scene: Scene, anchors: int) -> Scene:
@@ -204,32 +170,3 @@ def _resized(plane: NDArray[np.int16], size: int) -> NDArray[np.int16]:
     share = at - low
     rows = plane[:, low] * (1 - share[:, None]) + plane[:, low + 1] * share[:, None]
     return np.rint(rows[:, :, low] * (1 - share) + rows[:, :, low + 1] * share).astype(np.int16)
-
-
-def _repeated(data: bytes, chunks: int, copies: int) -> bytes:
-    """Returns a file with its first chunks repeated. chunks: their number. copies: of each."""
-    header = read_header(WholeFile(data))
-    contents = {s.type: data[s.start : s.start + s.length] for s in header.sections}
-    index, content = contents[INDEX], contents[DATA]
-    models = len(index) - ENTRY_BYTES * header.chunk_count
-    opened = Reader(WholeFile(data)).open().index
-    # The ends of the first chunks, and of their entries in the index.
-    entries, end = models + ENTRY_BYTES * chunks, int(opened.starts[chunks] - opened.starts[0])
-    contents[INDEX] = index[:models] + index[models:entries] * copies + index[entries:]
-    contents[DATA] = content[:end] * copies + content[end:]
-    count = header.anchor_count + (copies - 1) * int(opened.anchors[chunks])
-    level = minimal_level(PROFILES[header.profile], count, header.dimensions)
-    if level is None:
-        raise ValueError(f"no level holds {count} anchors")
-    more = header.chunk_count + (copies - 1) * chunks
-    made = replace(header, anchor_count=count, chunk_count=more, level=level)
-    return emit_file(made, [(s.type, s.mode, contents[s.type]) for s in header.sections])
-
-
-def attribute_bits(data: bytes) -> float:
-    """Returns the mean bits of an anchor's attributes in a file."""
-    source = WholeFile(data)
-    reader = Reader(source)
-    index, section = reader.open().index, reader.header.section(INDEX)
-    parts = (read_chunk(source, index[number], section.mode).attributes for number in range(len(index)))
-    return 8 * sum(map(len, parts)) / reader.header.anchor_count

@@ -1,45 +1,55 @@
-"""Peak memory of a process, or of a command of refcodec."""
+"""Time and peak memory of a process."""
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
-from collections.abc import Mapping
-from pathlib import Path
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
-ROOT = Path(__file__).resolve().parent.parent
-# Runs a command, and prints its exit status and its peak memory. The value of getrusage for a child process is at least
-# the memory of its parent, and thus may be too large.
-_PROGRAM = """
-import sys
-from benchmarks.resident import resident
-from refcodec.cli.main import main
-print(main(sys.argv[1:]), resident(), file=sys.stderr)
+from .results import ROOT
+
+# Runs a command, and prints its exit status, seconds, processor seconds, and peak memory in KiB on stderr. It is small,
+# because the peak memory that the system states for a process is at least that of the process which starts it.
+_LAUNCHER = """
+import os, sys, time
+began = time.perf_counter()
+process = os.posix_spawnp(sys.argv[1], sys.argv[1:], os.environ)
+_, status, usage = os.wait4(process, 0)
+seconds, processor = time.perf_counter() - began, usage.ru_utime + usage.ru_stime
+print("\\n", os.waitstatus_to_exitcode(status), seconds, processor, usage.ru_maxrss, file=sys.stderr)
 """
 
 
-def resident(field: str = "VmHWM") -> int:
-    """Returns the peak resident bytes of this process, from /proc (Linux).
+class Usage(NamedTuple):
+    """What a process took. processor: seconds of all its threads. peak: its largest resident memory, bytes."""
 
-    field: of /proc/self/status. VmRSS is the current value.
-    """
-    fields = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
-    return int(fields[field].split()[0]) << 10
+    status: int
+    seconds: float
+    processor: float
+    peak: int
+    printed: str
 
 
-def measured(arguments: list[str], environment: Mapping[str, str] | None = None) -> tuple[int, int]:
-    """Runs a command in a separate process. Returns its exit status and its peak memory in bytes.
-
-    arguments: of refcodec, with absolute paths. environment: None for that of this process.
-    """
-    run = subprocess.run(
-        [sys.executable, "-c", _PROGRAM, *arguments],
+def usage(command: Sequence[str | os.PathLike[str]], environment: Mapping[str, str] | None = None) -> Usage:
+    """Runs a command in the repository's folder. environment: variables to add."""
+    done = subprocess.run(
+        [sys.executable, "-S", "-c", _LAUNCHER, *command],
         cwd=ROOT,
-        env=environment,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
+        env={**os.environ, **(environment or {})},
+        capture_output=True,
         text=True,
         check=True,
     )
-    status, most = run.stderr.splitlines()[-1].split()
-    return int(status), int(most)
+    status, seconds, processor, peak = done.stderr.split()[-4:]
+    return Usage(int(status), float(seconds), float(processor), int(peak) << 10, done.stdout)
+
+
+def measured(arguments: Sequence[str], environment: Mapping[str, str] | None = None) -> tuple[int, int]:
+    """Runs a command of refcodec. Returns its exit status and its peak memory in bytes.
+
+    arguments: with absolute paths. environment: variables to add.
+    """
+    spent = usage([sys.executable, "-m", "refcodec", *arguments], environment)
+    return spent.status, spent.peak

@@ -1,4 +1,4 @@
-"""Writes the sections of RESULTS.md, one for each benchmark, and their common parts."""
+"""The sections of RESULTS.md that benchmarks write, and their common parts."""
 
 from __future__ import annotations
 
@@ -7,30 +7,34 @@ import platform
 from collections.abc import Iterable, Sequence
 from importlib import metadata
 from pathlib import Path
-from typing import Any
 
-import numpy as np
+from refcodec.statuses import DONE
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "benchmarks" / "RESULTS.md"
-# The least number of seeds of a result.
-SEEDS = 3
-HEADING = "# Measured results\n\nEach section holds the output of the command that it names; the command rewrites it.\n"
 # Extensions of processors that affect speed, as Linux names them.
-EXTENSIONS = "avx2 fma bmi2 avx_vnni avx512f avx512bw avx512vbmi2 avx512_vnni vpclmulqdq sha_ni asimd asimddp sve sha2"
+EXTENSIONS = "avx2 avx_vnni avx512f avx512_vnni asimd asimddp sve"
 
 
 def write_section(name: str, title: str, lines: Iterable[str]) -> None:
     """Replaces the section between its markers, or appends it. Other text does not change."""
     begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
-    text = RESULTS.read_text() if RESULTS.exists() else HEADING
+    text = RESULTS.read_text(encoding="utf-8") if RESULTS.exists() else "# Measured results\n"
     section = "\n".join([begin, f"## {title}", "", *lines, end])
     if begin in text and end in text:
         before, rest = text.split(begin, 1)
         text = before + section + rest.split(end, 1)[1]
     else:
         text = text.rstrip("\n") + "\n\n" + section + "\n"
-    RESULTS.write_text(text)
+    RESULTS.write_text(text, encoding="utf-8")
+
+
+def publish(name: str, title: str, lines: Sequence[str], write: bool) -> int:
+    """Prints the lines of a section, and writes it if that is asked for. Returns the exit status."""
+    print("\n".join(lines))
+    if write:
+        write_section(name, title, lines)
+    return DONE
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
@@ -39,50 +43,25 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
 
 
 def machine(*packages: str) -> str:
-    """Returns the machine as text: processor, cores, and the versions of Python, NumPy and other packages."""
-    versions = [f"Python {platform.python_version()}", f"numpy {np.__version__}"]
-    versions += [f"{name} {__import__(name).__version__}" for name in packages]
-    return f"{platform.machine()}, {os.cpu_count()} cores, {', '.join(versions)}."
-
-
-def processor() -> dict[str, Any]:
-    """Returns the model of the processor, and its extensions that affect speed."""
-    model, flags = platform.processor() or platform.machine(), set[str]()
+    """Returns a sentence: processor, cores, load of the last minute, versions of Python, NumPy and other packages."""
     try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        lines = [line.partition(":") for line in Path("/proc/cpuinfo").read_text().splitlines()]
     except OSError:
         lines = []
-    for line in lines:
-        name, _, value = line.partition(":")
-        if name.strip() in ("model name", "Model"):
-            model = value.strip()
-        elif name.strip() in ("flags", "Features"):
-            flags |= set(value.split())
-    return {"model": model, "flags": [flag for flag in EXTENSIONS.split() if flag in flags]}
+    stated = {name.strip(): value.strip() for name, _, value in lines}
+    model = stated.get("model name", platform.processor() or platform.machine())
+    there = (stated.get("flags") or stated.get("Features") or "").split()
+    flags = " ".join(flag for flag in EXTENSIONS.split() if flag in there)
+    versions = ", ".join([f"Python {platform.python_version()}", *map(_version, ("numpy", *packages))])
+    system = f"{platform.system()} {platform.machine()}, {model}{f' ({flags})' if flags else ''}"
+    return f"{system}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.2f}; {versions}."
 
 
-def facts(*packages: str) -> dict[str, Any]:
-    """Returns processor, cores, load of the last minute, and versions, which are None for missing packages."""
-    versions: dict[str, str | None] = {"python": platform.python_version(), "numpy": np.__version__}
-    for name in packages:
-        try:
-            versions[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            versions[name] = None
-    return {
-        "system": f"{platform.system()} {platform.machine()}",
-        **processor(),
-        "cores": os.cpu_count(),
-        "load": round(os.getloadavg()[0], 2),
-        "versions": versions,
-    }
-
-
-def facts_line(found: dict[str, Any]) -> str:
-    """Returns facts as a sentence of a section."""
-    versions = ", ".join(f"{name} {version}" for name, version in found["versions"].items() if version)
-    flags = f" ({' '.join(found['flags'])})" if found["flags"] else ""
-    return f"{found['system']}, {found['model']}{flags}, {found['cores']} cores, load {found['load']}; {versions}."
+def _version(package: str) -> str:
+    try:
+        return f"{package} {metadata.version(package)}"
+    except metadata.PackageNotFoundError:
+        return f"no {package}"
 
 
 def kb(value: float) -> str:

@@ -1,11 +1,11 @@
-"""Time and memory of each decoder for the worst known files of each decoding step, against SPEC.md 13.1."""
+"""Time and memory of each decoder for the worst known files of each decoding step, against SPEC.md 13.1.
+
+`python -m benchmarks.worst` writes the section of RESULTS.md. It takes a quarter of an hour, and needs `cc`.
+"""
 
 from __future__ import annotations
 
-import argparse
-import os
 import shutil
-import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
@@ -20,6 +20,7 @@ from refcodec.bitstream import codec
 from refcodec.bitstream.attributes import Attributes
 from refcodec.bitstream.batches import GROUP_ANCHORS
 from refcodec.bitstream.bounds import all_work
+from refcodec.bitstream.chunks import chunk_ranges
 from refcodec.bitstream.dimensions import Dimensions, mask_contexts, weight_count
 from refcodec.bitstream.frame import Frame
 from refcodec.bitstream.header import Header, Lanes, PositionGrid, RenderInfo
@@ -28,11 +29,11 @@ from refcodec.bitstream.positions import EMPTY_MODELS, HALVES, POSITION_MODELS, 
 from refcodec.bitstream.scene import Scene
 from refcodec.bitstream.tables import STEP_LENGTH, TOTAL, tables_file
 from refcodec.encoder.weights import weight_scales
-from refcodec.native.library import PATH_VARIABLE, THREADS_VARIABLE
+from refcodec.statuses import REJECTED
 
-from .compiled import compiled
-from .resident import ROOT
-from .results import machine, mib, table, write_section
+from .__main__ import Decoder, c_decoder
+from .resident import Usage, usage
+from .results import ROOT, machine, mib, table, write_section
 
 SMALL = ROOT / "vectors" / "tiny-example.c3gs"
 # Runs SPEC.md's blocks on a file.
@@ -41,15 +42,6 @@ import sys
 from pathlib import Path
 from conformance import spec_decoder
 spec_decoder.verdict(spec_decoder.names(), Path(sys.argv[1]).read_bytes())
-"""
-# Runs a command, and prints its exit status, its processor seconds, and its peak memory in KiB. It is a small program,
-# because the value of getrusage is at least the memory of the parent process.
-LAUNCHER = """
-import os, sys
-null = [(os.POSIX_SPAWN_OPEN, number, os.devnull, os.O_WRONLY, 0) for number in (1, 2)]
-process = os.posix_spawnp(sys.argv[1], sys.argv[1:], os.environ, file_actions=null)
-_, status, usage = os.wait4(process, 0)
-print(os.waitstatus_to_exitcode(status), usage.ru_utime + usage.ru_stime, usage.ru_maxrss)
 """
 # A run of at least this many seconds is measured once.
 LONG = 2.0
@@ -114,7 +106,9 @@ def scene(d: Dimensions, anchors: int, *, kept: bool = True, symbol: int = 0) ->
         networks=networks,
         planes=np.zeros((5, d.plane_channels, size, size), np.int16),
         mask_model=model,
-        positions=np.concatenate([np.zeros((0, 3), np.float16), *(_positions(len(c)) for c in _chunks(anchors))]),
+        positions=np.concatenate(
+            [np.zeros((0, 3), np.float16), *(_positions(len(c)) for c in chunk_ranges(anchors, 16384))]
+        ),
         masks=masks,
         attributes=Attributes(
             np.full((anchors, d.features), symbol, np.int32),
@@ -125,10 +119,6 @@ def scene(d: Dimensions, anchors: int, *, kept: bool = True, symbol: int = 0) ->
         position_model=_position_model(),
         weight_scales=weight_scales(networks),
     )
-
-
-def _chunks(anchors: int) -> list[range]:
-    return [range(first, min(first + 16384, anchors)) for first in range(0, anchors, 16384)]
 
 
 def _weights(d: Dimensions) -> Scene:
@@ -187,76 +177,63 @@ def memory_bound(header: Header, size: int) -> int:
     return 4 * sum(stages) + (64 << 20)
 
 
-def paths() -> dict[str, tuple[list[str], dict[str, str]]]:
-    """Returns the command of each decoder, with FILE and OUT, and additional environment variables."""
+def decoders() -> dict[str, Decoder]:
+    """Returns the command of each decoder, with FILE and OUT, and its environment. Raises OSError without `cc`."""
     refcodec = [sys.executable, "-m", "refcodec", "validate", "FILE"]
-    decoder = compiled(ROOT / "conformance" / "c" / "decoder.c", ["-std=c11", "-O2"])
-    found = {
-        "kernel": (refcodec, {PATH_VARIABLE: "native", THREADS_VARIABLE: "1"}),
-        "NumPy": (refcodec, {PATH_VARIABLE: "numpy"}),
-        "C": ([str(decoder), "digest", "FILE"], {"C3GS_TABLES": str(tables_file())}),
+    made: dict[str, Decoder] = {
+        "kernel": (refcodec, {"REFCODEC_PATH": "native", "REFCODEC_THREADS": "1"}),
+        "NumPy": (refcodec, {"REFCODEC_PATH": "numpy"}),
+        "C": ([str(c_decoder()), "digest", "FILE"], {"C3GS_TABLES": str(tables_file())}),
     }
     if shutil.which("node"):
-        found["WebAssembly"] = (["node", str(ROOT / "refcodec" / "web" / "cli.js"), "decode", "FILE", "OUT"], {})
-    return found
+        made["WebAssembly"] = ["node", str(ROOT / "refcodec" / "web" / "cli.js"), "decode", "FILE", "OUT"], {}
+    return made
 
 
-def run(command: list[str], environment: dict[str, str], file: Path) -> tuple[float, int]:
-    """Returns the processor seconds and the peak memory in bytes of a command for a file."""
+def least(decoder: Decoder, file: Path) -> Usage:
+    """Runs a decoder three times, or once if it takes long. Returns what the run of the least processor time took.
+
+    Raises ValueError for another status than that of an accepted or rejected file.
+    """
+    words, environment = decoder
     with tempfile.TemporaryDirectory() as folder:
-        words = [{"FILE": str(file), "OUT": str(Path(folder, "out"))}.get(word, word) for word in command]
-        done = subprocess.run(
-            [sys.executable, "-c", LAUNCHER, *words],
-            cwd=ROOT,
-            env={**os.environ, **environment},
-            capture_output=True,
-            text=True,
-            check=True,
-        )
-    status, seconds, peak = done.stdout.split()
-    if int(status) not in (0, 1):
-        raise RuntimeError(f"{' '.join(words)} ends with status {status}")
-    return float(seconds), int(peak) << 10
+        command = [{"FILE": str(file), "OUT": f"{folder}/out"}.get(word, word) for word in words]
+        runs = [usage(command, environment)]
+        while len(runs) < 3 and runs[0].processor < LONG:
+            runs.append(usage(command, environment))
+    if runs[0].status > REJECTED:
+        raise ValueError(f"{' '.join(command)} ends with {runs[0].status}")
+    return min(runs, key=lambda run: run.processor)
 
 
-def least(command: list[str], environment: dict[str, str], file: Path) -> tuple[float, int]:
-    """Returns the fastest of three runs, or the first if it takes long."""
-    first = run(command, environment, file)
-    if first[0] > LONG:
-        return first
-    return min(first, *(run(command, environment, file) for _ in range(2)))
-
-
-def _measured(large: bool, decoders: dict[str, tuple[list[str], dict[str, str]]]) -> list[str]:
+def rows(large: bool, wanted: dict[str, Decoder]) -> list[str]:
     """Measures decoders on the files of a size. Returns the lines of their table."""
-    head, most = ["file", "bytes", "10^9 units", "allowed MiB"], []
-    rows: dict[str, list[str]] = {}
+    made: dict[str, list[str]] = {}
+    most = []
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder, "file.c3gs")
-        for decoder, (command, environment) in decoders.items():
-            started, small = least(command, environment, SMALL)
-            worst = 0.0
+        for title, decoder in wanted.items():
+            small, worst = least(decoder, SMALL), 0.0
             for name, data in files(large).items():
                 file.write_bytes(data)
-                header = codec.parse_container(data)
-                seconds, peak = least(command, environment, file)
+                header, spent = codec.parse_container(data), least(decoder, file)
                 units = all_work(header) / 1e9
-                each = max(seconds - started, 0) / units
+                each = max(spent.processor - small.processor, 0) / units
                 worst = max(worst, each)
-                print(decoder, name, f"{seconds:.2f} s", f"{each:.2f}", sep=" | ", file=sys.stderr, flush=True)
+                print(title, name, f"{each:.2f} s", sep=" | ", file=sys.stderr, flush=True)
                 if name.endswith(", valid"):
                     own = [name.removesuffix(", valid"), f"{len(data):,}", f"{units:.4f}"]
-                    row = rows.setdefault(name, [*own, mib(memory_bound(header, len(data)))])
-                    row.append(f"{each:.2f} s, {mib(max(peak - small, 0))} MiB")
-            head.append(decoder)
+                    row = made.setdefault(name, [*own, mib(memory_bound(header, len(data)))])
+                    row.append(f"{each:.2f} s, {mib(max(spent.peak - small.peak, 0))} MiB")
             most.append(f"{worst:.2f} s")
-    return table(head, [*rows.values(), ["most, with rejected files", "", "", "", *most]])
+    head = ["file", "bytes", "10^9 units", "allowed MiB", *wanted]
+    return table(head, [*made.values(), ["most, with rejected files", "", "", "", *most]])
 
 
-def section() -> list[str]:
-    """Returns the lines of the section."""
-    blocks = {"blocks of SPEC.md": ([sys.executable, "-c", BLOCKS, "FILE"], dict[str, str]())}
-    return [
+def main() -> None:
+    """Measures, and writes the section."""
+    blocks: dict[str, Decoder] = {"blocks of SPEC.md": ([sys.executable, "-c", BLOCKS, "FILE"], {})}
+    lines = [
         "`python -m benchmarks.worst`",
         "",
         machine(),
@@ -264,16 +241,11 @@ def section() -> list[str]:
         "less those of the same process for a file of 5 anchors. Allowed: 4 m + 64 MiB of SPEC.md 13.1. The rejected",
         "files have a wrong CRC-32 of symbols in the named step. SPEC.md's blocks decode smaller files.",
         "",
-        *_measured(True, paths()),
+        *rows(True, decoders()),
         "",
-        *_measured(False, blocks),
+        *rows(False, blocks),
     ]
-
-
-def main() -> None:
-    """Runs the command line."""
-    argparse.ArgumentParser(description=__doc__).parse_args()
-    write_section("worst", "The worst files of each step", section())
+    write_section("worst", "The worst files of each step", lines)
 
 
 if __name__ == "__main__":

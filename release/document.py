@@ -6,13 +6,13 @@ import base64
 import hashlib
 import html
 import re
+import shutil
 import subprocess
 import tempfile
 import time
 from functools import cache
 from pathlib import Path
 
-from benchmarks.chromium import NAMES, find
 from docs import chapters
 from refcodec.bitstream.errors import REGISTRY
 from refcodec.inspect import specification
@@ -22,6 +22,7 @@ from .source import Source
 from .statements import when
 
 _SECONDS = 600
+BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 # Targets of MyST before a requirement, in the Markdown of docs.chapters.
 _STATED = re.compile(r"^- \((\S+)\)=\n  \*\*\\\[(\S+?)\\\]\*\*", re.MULTILINE)
 # The names of elements in a PDF, whose numbers begin with another one each time.
@@ -68,9 +69,9 @@ def pdf(source: Source, folder: Path) -> list[Path]:
 
     Its dates are those of the commit. The fonts and the pages are those of this machine's Chromium.
     """
-    browser = find()
+    browser = next(filter(None, map(shutil.which, BROWSERS)), None)
     if browser is None:
-        raise UsageError(f"the PDF needs a browser, one of {', '.join(NAMES)}: install it")
+        raise UsageError(f"the PDF needs a browser, one of {', '.join(BROWSERS)}: install it")
     path = folder / name_of(source, "pdf")
     with tempfile.TemporaryDirectory() as name:
         made = Path(name) / "made.pdf"

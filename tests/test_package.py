@@ -24,7 +24,6 @@ LICENCES = {
     "atheris": "Apache-2.0",
     "auditwheel": "MIT",
     "bjontegaard": "BSD-3-Clause",
-    "constriction": "MIT OR Apache-2.0 OR BSL-1.0",
     # Its classifiers name the GPL too, which applies to an Emacs mode that the wheel does not contain.
     "docutils": "LicenseRef-Public-Domain AND BSD-2-Clause",
     "gsplat": "Apache-2.0",

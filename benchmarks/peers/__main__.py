@@ -1,205 +1,249 @@
-"""Peers in one harness.
+"""Peers in one harness: plain 3DGS, as SPZ and SOG, beside the cells of an experiment.
 
-python -m benchmarks.peers train PHOTOGRAPHS -o SPLAT.ply          a plain 3DGS, as an ordinary PLY file
-python -m benchmarks.peers run PHOTOGRAPHS FOLDER --method 3dgs    runs of a method, one JSON file each
-python -m benchmarks.peers table FOLDER                            one table and one plot of all runs in a folder
-python -m benchmarks.peers.scene SPLAT.ply -o FOLDER               renders photographs of a splat, in NeRF's format
+python -m benchmarks.peers run PLAN -o FOLDER --caps 32000    trains 3DGS for each scene and seed of PLAN
+python -m benchmarks.peers table FOLDER                       one table of all cells in a folder
+python -m benchmarks.peers scene SPLAT.ply -o FOLDER          renders photographs of a splat, in NeRF's format
 
-A finished run is not repeated, and an interrupted one is resumed. splat-transform writes SPZ and SOG; `run` prints the
-command that installs it.
+PLAN is the file of an experiment, and FOLDER the folder of `refcodec experiment PLAN -o FOLDER`, which trains C3GS. A
+finished training is not repeated. splat-transform writes SPZ and SOG; `run` prints the command that installs it.
 """
 
 from __future__ import annotations
 
 import argparse
+import math
 import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict
+from functools import partial
+from itertools import pairwise
 from pathlib import Path
+from statistics import fmean
+from typing import Any
 
+import msgspec
 import numba
 import torch
 
-from refcodec.files.documents import DocumentError
-from refcodec.files.outputs import check_apart
+from refcodec import __version__
+from refcodec.convert.drawing import drawn, tensors
+from refcodec.convert.views import AXES, orbit, write_photographs
+from refcodec.evaluate.quality import measures
+from refcodec.experiments.cells import WORK, Evaluation, hash_of, read_result, write_result
+from refcodec.experiments.command import FORMAT, MARK
+from refcodec.experiments.jobs import Job, Step, Watch, claim, dumped, read, run_jobs
+from refcodec.experiments.plan import read_experiment
+from refcodec.experiments.tables import Row, grouped, row, spread_text, table
+from refcodec.files.lock import hold_folder
 from refcodec.files.text import printable
-from refcodec.photographs.photographs import PhotographError, read_photographs
+from refcodec.formats.splats import Splats
+from refcodec.formats.table import read_splats, write_splats
+from refcodec.photographs.photographs import PhotographSet, parse_size, read_photographs
 from refcodec.statuses import DONE, INTERRUPTED, USAGE, UsageError
-from refcodec.train.settings_file import SettingsError
 
-from ..results import SEEDS, machine, write_section
-from .cells import experiment_name, experiment_records
-from .convert import ToolError
-from .figures import Record, Scene, scenes
-from .runs import METHODS, PLAIN, UNCODED, Run, perform, records, splat_settings, train_splats
-from .table import PLOT_FILE, TABLE_FILE, TableError, commands, plot, report, tools, with_seeds, without
+from ..results import kb, machine, publish
+from .convert import FORMATS, INSTALL, VERSION, ToolError, there_and_back, tool
+from .trainer import SplatSettings, SplatTrainer, view_settings
 
-# The name of a method in the table.
-BASELINE = "3DGS, SPZ, 4000 steps"
-RESULTS_NOTE = (
+# The names of methods in the table by those of cells, and the method to compare with.
+LABELS = {"pro": "C3GS", "static": "C3GS, static", "uncompressed": "Scaffold-GS"}
+LABELS |= {f"3dgs-{kind}": f"3DGS, {kind.upper()}" for kind in ("ply", *FORMATS)}
+BASELINE = LABELS["3dgs-spz"]
+# The least number of seeds of a result.
+SEEDS = 3
+NOTE = (
     "One thread each. Every eighth image is held out, or the 25 of playbot's own split. PSNR and SSIM are those of",
     "eight-bit images, by scikit-image. SPZ 4 and SOG 2 are decoded before rendering. Bytes are those of the file,",
     "processor seconds those of the training. A spread is the standard deviation of the seeds. All methods draw with a",
     "low-pass filter of 0.1 square pixels.",
     "playbot is rendered from a splat of 31,000 Gaussians, PLAYBOT by Stephane Agullo (https://sa3d.fr), CC-BY-4.0, by",
-    "`python -m benchmarks.peers.scene playbot_lod3.ply -o playbot --views 100 --tests 25 --size 400 --up=-y`.",
+    "`python -m benchmarks.peers scene playbot_lod3.ply -o playbot`.",
+    f"splat-transform {VERSION} wrote SPZ and SOG.",
 )
 
 
-def _train(arguments: argparse.Namespace) -> int:
+# --- trainings --------------------------------------------------------------------------------------------------------
+
+
+def train(photographs: Path, folder: Path, settings: SplatSettings) -> dict[str, Any]:
+    """Trains a plain 3DGS, and writes PLY, SPZ and SOG. Returns an Evaluation of each, and the processor seconds.
+
+    Raises ToolError, and ValueError for unusable photographs.
+    """
     torch.set_num_threads(1)
     numba.set_num_threads(1)
-    own = (arguments.photographs, PLAIN, arguments.most, arguments.seed, arguments.size, arguments.steps)
-    settings = splat_settings(Run(*own, tuple(arguments.set)))
-    photographs = read_photographs(arguments.photographs, arguments.size, seed=arguments.seed)
-    check_apart([arguments.output], [arguments.photographs, *photographs.places()])
-    trainer = train_splats(photographs, settings, arguments.output, arguments.resume)
-    if trainer is None:
-        print("interrupted: repeat the command with --resume", file=sys.stderr)
-        return INTERRUPTED
-    print(f"{arguments.output}: {len(trainer.result()['mean'])} Gaussians, {trainer.seconds:.0f} s of the processor")
-    return DONE
+    found = read_photographs(photographs, parse_size(settings.size))
+    trainer, ply = SplatTrainer(found, settings), folder / "splat.ply"
+    splats = trainer.run()
+    folder.mkdir(parents=True, exist_ok=True)
+    ply.write_bytes(write_splats(Splats(**{name: value.numpy() for name, value in splats.items()}), ".ply"))
+    files = {"ply": (ply, ply), **{suffix: there_and_back(ply, suffix) for suffix in FORMATS}}
+    shown = {kind: quality(coded, again, found) for kind, (coded, again) in files.items()}
+    return {"files": shown, "seconds": trainer.seconds}
 
 
-def _run(arguments: argparse.Namespace) -> int:
-    for seed in arguments.seeds:
-        for strength in arguments.strengths:
-            run = Run(
-                arguments.photographs,
-                arguments.method,
-                strength,
-                seed,
-                arguments.size,
-                arguments.steps,
-                tuple(arguments.set),
-            )
-            if perform(run, arguments.folder) is None:
-                print("interrupted: repeat the command to resume", file=sys.stderr)
-                return INTERRUPTED
-    return DONE
-
-
-def _sections(
-    arguments: argparse.Namespace, every: list[Record], found: list[Scene]
-) -> list[tuple[str, str, list[str]]]:
-    """Yields the sections of RESULTS.md: name, title and lines, one for each size.
-
-    Raises TableError.
-    """
-    least, few = arguments.seeds, arguments.seeds < SEEDS
-    certain = with_seeds(found, least)
-    if not arguments.baseline.startswith(UNCODED):
-        certain = without(certain, UNCODED)
-    if not certain:
-        raise TableError(f"no method has {least} seeds")
-    words = [
-        "python -m benchmarks.peers table FOLDER",
-        *(f"--experiment {experiment_name(f)}" for f in arguments.experiment),
-        "--results",
-        *([f"--seeds {least}"] if few else []),
+@torch.no_grad()
+def quality(file: Path, ply: Path, photographs: PhotographSet) -> Evaluation:
+    """Returns the bytes of a file, and the quality of its Gaussians, which are in `ply`, on held-out photographs."""
+    splats, view = tensors(read_splats(ply)), view_settings(photographs)
+    images: list[dict[str, Any]] = [
+        {"image": p.camera.name, **measures(drawn(splats, p.camera, view)[0].numpy(), p.image)}
+        for p in photographs.test
     ]
-    title, every_size = "Peers in one harness", sorted({scene.size for scene in certain})
-    groups = [(f"peers-{size}", f"{title}, {size} pixels", [size]) for size in every_size]
-    if few:
-        groups = [("peers-few", f"{title}, few seeds", every_size)]
-    made = []
-    for place, name, sizes in groups:
-        runs = [record for record in every if record["size"] in sizes]
-        head = [
-            "```",
-            *commands(runs, least),
-            " ".join(words),
-            "```",
-            "",
-            machine("torch"),
-            *RESULTS_NOTE,
-            *tools(runs),
-            "",
-        ]
-        shown = [scene for scene in certain if scene.size in sizes]
-        made.append((place, name, [*head, *report(shown, arguments.baseline)]))
-    return made
+    mean = {name: fmean(image[name] for image in images) for name in images[0] if name != "image"}
+    shown = {"bytes": file.stat().st_size, "anchors": len(splats["mean"]), "parts": {}, "mean": mean, "images": images}
+    return msgspec.convert(shown, Evaluation)
 
 
-def _table(arguments: argparse.Namespace) -> int:
-    every = records(arguments.folder)
-    cells = [cell for folder in arguments.experiment for cell in experiment_records(folder)]
-    found = scenes([*every, *cells])
-    lines = report(found, arguments.baseline)
-    if arguments.results:
-        for place, title, section in _sections(arguments, every, found):
-            write_section(place, title, section)
-    (arguments.folder / TABLE_FILE).write_text("\n".join(lines) + "\n", encoding="utf-8")
-    plot(found, arguments.folder / PLOT_FILE)
-    print("\n".join(lines))
+class _Trained(msgspec.Struct):
+    files: dict[str, Evaluation]
+    seconds: float
+
+
+def job(root: Path, scene: str, photographs: Path, settings: SplatSettings) -> Job:
+    """Returns the job of a training, whose results are cells of the folder `root`."""
+    cell = f"{scene}/3dgs-KIND/cap-{settings.most}/seed-{settings.seed}"
+    work = root / "cells" / cell.replace("KIND", "ply") / WORK
+    options = [word for name, value in asdict(settings).items() for word in (f"--{name}", str(value))]
+    words = ("train", str(photographs), "-o", str(work), *options)
+    step = Step(words, work / "eval.json", printed=True, module="benchmarks.peers")
+    definition = {"refcodec": __version__, "splat-transform": VERSION, "settings": asdict(settings)}
+    finish = partial(_finish, root / "cells" / cell, definition)
+    return Job(cell, work.parent / "steps.json", (step,), hash_of(definition), finish)
+
+
+def _finish(folder: Path, definition: dict[str, Any], job: Job) -> None:
+    trained = read(job.steps[0].output, _Trained)
+    for kind, shown in trained.files.items():
+        write_result(Path(str(folder).replace("KIND", kind)), definition, shown, None, job, trained.seconds)
+
+
+def run(plan: Path, folder: Path, caps: Sequence[int], jobs: int) -> int:
+    """Trains 3DGS for each scene and seed of a plan. Returns the exit status."""
+    if tool() is None:
+        raise ToolError(f"splat-transform is missing: run `{INSTALL}` in the repository's folder")
+    experiment, root = read_experiment(plan), folder.absolute()
+    claim(root, MARK, FORMAT)
+    wanted = []
+    for scene in experiment.scenes:
+        settings = experiment.settings(scene, experiment.methods_of(scene)[0], 0.01, 0)
+        for cap in caps:
+            for seed in experiment.seeds:
+                own = SplatSettings(cap, settings.steps, settings.size, seed)
+                wanted.append(job(root, scene.name, experiment.photographs(scene), own))
+    with hold_folder(root):
+        outcomes, stopped = run_jobs(wanted, jobs, watch=Watch(len(wanted), 0))
+    for outcome in outcomes:
+        if outcome.status not in (DONE, INTERRUPTED):
+            print(outcome.name, outcome.text, sep=": ", file=sys.stderr)
+    return INTERRUPTED if stopped else max(outcome.status for outcome in outcomes)
+
+
+# --- the table --------------------------------------------------------------------------------------------------------
+
+
+def rows(folder: Path) -> Iterator[Row]:
+    """Yields the rows of all results in a folder, with the size of the photographs. lambda_r: that, or the cap."""
+    for path in sorted(folder.glob("cells/*/*/*/seed-*/result.json")):
+        if result := read_result(path.parent):
+            scene, method, strength, seed = path.parent.parts[-4:]
+            label, settings = LABELS.get(method, f"C3GS, {method}"), result.definition["settings"]
+            made = row(scene, label, float(strength.partition("-")[2]), int(seed.partition("-")[2]), result)
+            yield made | {"size": settings["size"]}
+
+
+def bytes_at(points: Sequence[tuple[float, float]], psnr: float) -> float | None:
+    """Returns the bytes of a method at a PSNR in dB, by linear interpolation of their logarithm.
+
+    points: bytes and PSNR, by rising bytes. Returns None outside of them, and the smallest size if the curve meets the
+    PSNR more than once.
+    """
+    for (size, low), (more, high) in pairwise(points):
+        if min(low, high) <= psnr <= max(low, high):
+            if low == high:
+                return size
+            share = (psnr - low) / (high - low)
+            return math.exp((1 - share) * math.log(size) + share * math.log(more))
+    return next((size for size, own in points if own == psnr), None)
+
+
+def report(found: Sequence[Row], seeds: int) -> list[str]:
+    """Returns the lines of two tables: figures, and sizes at the PSNR of BASELINE. seeds: the least number of a row."""
+    body, curves = [], dict[tuple[str, str], list[tuple[float, float]]]()
+    for (scene, label, strength), several in sorted(grouped(found, "scene", "method", "lambda_r").items()):
+        if len(several) >= seeds:
+            figures = {name: [one[name] for one in several] for name in ("bytes", "psnr", "ssim", "processor_seconds")}
+            cells = [spread_text(values, digits) for values, digits in zip(figures.values(), (0, 2, 4, 0), strict=True)]
+            body.append([scene, label, f"{strength:g}", str(len(several)), *cells])
+            curves.setdefault((scene, label), []).append((fmean(figures["bytes"]), fmean(figures["psnr"])))
+    equal, others = [], sorted({label for _, label in curves} - {BASELINE})
+    for scene in sorted({scene for scene, _ in curves}):
+        for own, psnr in sorted(curves.get((scene, BASELINE), [])):
+            # A single point has no curve to read from.
+            lines = [sorted(curves.get((scene, label), [])) for label in others]
+            sizes = [bytes_at(line, psnr) if len(line) > 1 else None for line in lines]
+            if any(sizes):
+                equal.append([scene, f"{psnr:.2f}", kb(own), *(kb(size) if size else "-" for size in sizes)])
+    head = ["scene", "method", "cap or lambda_r", "seeds", "bytes", "PSNR, dB", "SSIM", "processor, s"]
+    words = f"KB at the PSNR of {BASELINE}, by linear interpolation of the logarithm of the bytes:"
+    return [*table(head, body), "", words, "", *table(["scene", "PSNR, dB", BASELINE, *others], equal)]
+
+
+def tables(folders: Sequence[Path], seeds: int, write: bool) -> int:
+    """Prints the tables of folders, and writes the sections of RESULTS.md, one for each size of photographs."""
+    found = [one for folder in folders for one in rows(folder)]
+    for size in sorted({one["size"] for one in found}):
+        lines = report([one for one in found if one["size"] == size], seeds)
+        head = ["`python -m benchmarks.peers table FOLDER --write`", "", machine("torch"), *NOTE, ""]
+        publish(f"peers-{size}", f"Peers in one harness, {size} pixels", [*head, *lines], write)
     return DONE
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.peers", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    subcommands = parser.add_subparsers(required=True)
-
-    def command(name: str, work: object, help_: str) -> argparse.ArgumentParser:
-        found = subcommands.add_parser(name, help=help_, description=help_)
-        found.set_defaults(work=work)
-        return found
-
-    train = command("train", _train, "trains a plain 3DGS and writes an ordinary PLY file")
-    train.add_argument("photographs", type=Path)
-    train.add_argument("-o", "--output", type=Path, required=True)
-    train.add_argument("--most", type=int, default=16000, help="largest number of Gaussians (16000)")
-    train.add_argument("--seed", type=int, default=0)
-    train.add_argument("--resume", action="store_true", help="continues from the saved state")
-    run = command("run", _run, "runs a method on photographs, for each strength and seed")
-    run.add_argument("photographs", type=Path)
-    run.add_argument("folder", type=Path)
-    run.add_argument("--method", choices=METHODS, required=True)
-    run.add_argument(
-        "--strengths", type=float, nargs="+", required=True, help="3dgs: largest numbers of Gaussians; others: lambda_r"
-    )
-    run.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2], help="0 1 2")
-    for either in (train, run):
-        either.add_argument("--size", type=int, default=200, help="longest side in pixels (200)")
-        either.add_argument("--steps", type=int, default=2000, help="2000")
-        either.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="changes a setting")
-    table = command("table", _table, "writes the table and the plot of all runs in a folder")
-    table.add_argument("folder", type=Path)
-    table.add_argument(
-        "--experiment",
-        type=Path,
-        action="append",
-        default=[],
-        metavar="FOLDER",
-        help="adds the cells of an experiment, as `refcodec experiment -o` made them",
-    )
-    table.add_argument("--baseline", default=BASELINE, help=f"the method to compare with ({BASELINE})")
-    table.add_argument("--results", action="store_true", help="also writes a section of benchmarks/RESULTS.md")
-    table.add_argument(
-        "--seeds", type=int, default=SEEDS, help=f"fewest seeds of a row there ({SEEDS}); below, it is another section"
-    )
-    return parser
+def scene(splat: Path, folder: Path, size: int) -> int:
+    """Renders 100 photographs and 25 tests of a splat whose up is -y, by the cameras of refcodec convert, no points."""
+    splats = read_splats(splat)
+    write_photographs(splats, orbit(splats, AXES["-y"], size, 100, 25), folder, lambda *_: None, points=False)
+    return DONE
 
 
 def main(words: list[str] | None = None) -> int:
     """Runs one command. Returns its exit status."""
-    arguments = _parser().parse_args(words)
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.peers", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    commands = parser.add_subparsers(dest="command", required=True)
+    running = commands.add_parser("run", help="trains 3DGS for each scene and seed of a plan")
+    running.add_argument("plan", type=Path)
+    running.add_argument("-o", "--output", type=Path, required=True)
+    running.add_argument("--caps", type=int, nargs="+", required=True, help="largest numbers of Gaussians")
+    running.add_argument("--jobs", type=int, default=2, help="training runs at a time (2)")
+    training = commands.add_parser("train", help="one training, as JSON")
+    training.add_argument("photographs", type=Path)
+    training.add_argument("-o", "--output", type=Path, required=True)
+    for name, kind in SplatSettings.__annotations__.items():
+        training.add_argument(f"--{name}", type=str if kind == "str" else int, required=True)
+    rendering = commands.add_parser("scene", help="photographs of a splat, with its licence")
+    rendering.add_argument("splat", type=Path)
+    rendering.add_argument("-o", "--output", type=Path, required=True)
+    rendering.add_argument("--size", type=int, default=400, help="sides in pixels (400)")
+    listing = commands.add_parser("table", help="the tables of all cells in folders")
+    listing.add_argument("folders", type=Path, nargs="+")
+    listing.add_argument("--seeds", type=int, default=SEEDS, help=f"fewest seeds of a row ({SEEDS})")
+    listing.add_argument("--write", action="store_true", help="write the sections of benchmarks/RESULTS.md")
+    given = parser.parse_args(words)
     try:
-        return int(arguments.work(arguments))
-    except (
-        PhotographError,
-        SettingsError,
-        DocumentError,
-        ToolError,
-        TableError,
-        UsageError,
-        ValueError,
-        OSError,
-    ) as error:
+        if given.command == "run":
+            return run(given.plan, given.output, given.caps, given.jobs)
+        if given.command == "scene":
+            return scene(given.splat, given.output, given.size)
+        if given.command == "table":
+            return tables(given.folders, given.seeds, given.write)
+        settings = SplatSettings(*(getattr(given, name) for name in SplatSettings.__annotations__))
+        print(dumped(train(given.photographs, given.output, settings)).decode())
+        return DONE
+    except (ToolError, UsageError, ValueError, OSError) as error:
         print(printable(str(error), lines=True), file=sys.stderr)
         return USAGE
-    except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
-        return INTERRUPTED
 
 
 if __name__ == "__main__":

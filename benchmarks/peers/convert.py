@@ -8,9 +8,16 @@ from __future__ import annotations
 
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parent.parent.parent
+import numpy as np
+
+from refcodec.formats.splats import Splats
+from refcodec.formats.spz import HARMONIC_SIGNS
+
+from ..results import ROOT
+
 # In a folder that Git ignores. The version is fixed, because files differ between versions.
 FOLDER, VERSION = "build/splat-transform", "3.7.0"
 # The scripts of its packages would install a GPU driver, which is not used.
@@ -25,10 +32,8 @@ class ToolError(Exception):
 def tool() -> Path | None:
     """Returns the path of splat-transform, in FOLDER or on the PATH, or None."""
     own = ROOT / FOLDER / "node_modules" / ".bin" / "splat-transform"
-    if own.exists():
-        return own
-    found = shutil.which("splat-transform")
-    return Path(found) if found else None
+    there = shutil.which("splat-transform")
+    return own if own.exists() else Path(there) if there else None
 
 
 def convert(source: Path, target: Path) -> None:
@@ -44,8 +49,20 @@ def convert(source: Path, target: Path) -> None:
 
 def there_and_back(ply: Path, suffix: str) -> tuple[Path, Path]:
     """Converts a PLY file to another format, and back to PLY. Returns both new files. Raises ToolError."""
-    coded = ply.with_suffix(f".{suffix}")
-    again = ply.with_name(f"{ply.stem}.{suffix}.ply")
+    coded, again = ply.with_suffix(f".{suffix}"), ply.with_name(f"{ply.stem}.{suffix}.ply")
     convert(ply, coded)
     convert(coded, again)
     return coded, again
+
+
+def as_read(splats: Splats, suffix: str) -> Splats:
+    """Returns the Gaussians that splat-transform reads from a file of Gaussians.
+
+    SPZ files have axes that point right, up and back (Niantic's README). splat-transform 3 takes them for those of PLY
+    files, which point right, down and forward. Thus its y and z have the other signs.
+    """
+    if suffix != ".spz":
+        return splats
+    signs = np.array([1, -1, -1], np.float32)
+    rest = splats.rest * HARMONIC_SIGNS[: splats.rest.shape[1], None].astype(np.float32)
+    return replace(splats, mean=splats.mean * signs, quaternion=splats.quaternion * np.append(1, signs), rest=rest)

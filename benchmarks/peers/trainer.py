@@ -1,68 +1,165 @@
-"""A plain 3DGS trainer: refcodec's photographs, rasteriser, loss and saved state, 3DGS's parameters and density."""
+"""A plain 3DGS trainer: refcodec's photographs, rasteriser and loss, with 3DGS's parameters and density control.
+
+3DGS is Kerbl et al., "3D Gaussian Splatting for Real-Time Radiance Field Rendering" (2023), with the values of its
+published code, whose training runs have 30,000 steps. Its step numbers are shares of the steps here, so that a short
+training has the same order of events.
+"""
 
 from __future__ import annotations
 
 import math
-import threading
 import time
-from collections.abc import Callable
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from refcodec.convert.drawing import drawn
-from refcodec.files.interrupts import on_interrupt
+from refcodec.bitstream.cameras import rotation_matrix
+from refcodec.convert.drawing import Tensors, drawn
 from refcodec.formats.harmonics import REST, ZERO
 from refcodec.photographs.photographs import PhotographSet
 from refcodec.rendering.rasterise import Settings
 from refcodec.train.adam import ADAM_EPSILON
 from refcodec.train.losses import photometric
-from refcodec.train.optimisers import learning_rate, moments, restore_moments
-from refcodec.train.settings_file import document
+from refcodec.train.optimisers import learning_rate
+from refcodec.train.settings import Decay
 from refcodec.train.start import scene_length
-from refcodec.train.state import Saved
 from refcodec.train.views import pixels
 
-from .density import Density
-from .settings import SplatSettings
+# The learning rates of the Gaussians' tensors, in the order of the optimiser; that of means is multiplied by the extent
+# of the scene. Some begin higher than in 3DGS, for short training runs, and end at its values.
+LEARNING_RATES = {
+    "mean": Decay(6.4e-4, 1.6e-6),
+    "base": Decay(0.01, 0.0025),
+    "rest": Decay(5e-4, 1.25e-4),
+    "opacity": Decay(0.05, 0.05),
+    "scale": Decay(0.02, 0.005),
+    "quaternion": Decay(0.004, 0.001),
+}
+# The share of 1 - SSIM in the loss, and the initial opacity; both are 3DGS's.
+SSIM, OPACITY = 0.2, 0.1
+# The nearest depth that is drawn, in scene lengths, and what is added to both variances of a Gaussian in an image, in
+# square pixels: those of refcodec's trainer. 3DGS adds 0.3.
+NEAR, LOW_PASS = 0.02, 0.1
+# 3DGS's density control. The extent of a scene is 1.1 times the largest distance of a camera from their middle. The
+# limit of 20 pixels for radii in an image is omitted: it has no effect in 3DGS, which resets the radii first (issue 643
+# of its repository), and with an effective limit 10,000 steps lost 5 dB on a scene at 200 pixels.
+EXTENT = 1.1
+# Shares of the steps at which it begins and ends, and steps between two changes, and between two resets of opacities.
+BEGIN, END, PERIOD, RESET_PERIOD = 1 / 60, 0.5, 100, 3000
+# A Gaussian is cloned or split from this mean gradient of its projected mean on, in loss / normalised device unit. It
+# is split if it is longer than DENSE extents, into CHILDREN whose lengths are divided by SHRINK. One is pruned below
+# this opacity, and after the first reset if it is longer than LARGEST extents.
+GRADIENT, DENSE, CHILDREN, SHRINK = 2e-4, 0.01, 2, 1.6
+PRUNED, RESET, LARGEST = 0.005, 0.01, 0.1
 
-# The tensors of the Gaussians, in the order of the optimiser.
-NAMES = ("mean", "base", "rest", "opacity", "scale", "quaternion")
+
+@dataclass(frozen=True)
+class SplatSettings:
+    """A training run. most: the largest number of Gaussians. size: longest side of photographs. degree: of harmonics.
+
+    3DGS has harmonics of degree 3.
+    """
+
+    most: int
+    steps: int
+    size: str
+    seed: int
+    degree: int = 1
 
 
-def view_settings(photographs: PhotographSet, settings: SplatSettings) -> Settings:
+@dataclass(frozen=True, eq=False)
+class Change:
+    """A change of the Gaussians: the kept ones, then clones, then children.
+
+    rows: the index of each before the change. kept: the number of kept ones. moved: [children, 3], the offset of a
+    child's mean from its parent's, in world units.
+    """
+
+    rows: Tensor
+    kept: int
+    moved: Tensor
+
+    def values(self, name: str, table: Tensor) -> Tensor:
+        """Returns a tensor of the Gaussians after the change."""
+        values, children = table[self.rows], len(self.rows) - len(self.moved)
+        if name == "mean":
+            values[children:] += self.moved
+        if name == "scale":
+            values[children:] -= math.log(SHRINK)
+        return values
+
+    def moments(self, table: Tensor) -> Tensor:
+        """Returns a moment of Adam after the change, which is 0 for new Gaussians."""
+        values = table[self.rows]
+        values[self.kept :] = 0
+        return values
+
+
+@torch.no_grad()
+def change(splats: Tensors, gradient: Tensor, most: int, extent: float, large: bool, random: torch.Generator) -> Change:
+    """Returns 3DGS's change of the Gaussians (section 5), within a largest number.
+
+    If more would be cloned and split than it allows, those with the largest gradients are.
+
+    Args:
+        splats: the Gaussians.
+        gradient: float32 [N], mean lengths of the projected means' gradients.
+        most: the largest number of Gaussians.
+        extent: of the scene, in world units.
+        large: whether large Gaussians are pruned, too.
+        random: draws the places of children.
+    """
+    length = splats["scale"].exp().amax(dim=1)
+    dead = torch.sigmoid(splats["opacity"]) < PRUNED
+    if large:
+        dead |= length > LARGEST * extent
+    grows, splits = (gradient >= GRADIENT) & ~dead, length > DENSE * extent
+    # A clone adds one Gaussian, a split one less than its children. The larger number always keeps the limit.
+    room = max(most - int((~dead).sum()), 0) // (CHILDREN - 1)
+    if int(grows.sum()) > room:
+        order = torch.where(grows, gradient, -1.0).argsort(descending=True, stable=True)
+        grows = torch.zeros_like(grows)
+        grows[order[:room]] = True
+    split = torch.nonzero(grows & splits)[:, 0].repeat(CHILDREN)
+    # A sample of each parent's distribution.
+    lengths = splats["scale"][split].exp()
+    along = torch.randn(lengths.shape, generator=random) * lengths
+    quaternion = torch.nn.functional.normalize(splats["quaternion"][split]).double().numpy()
+    rotation = torch.from_numpy(rotation_matrix(quaternion).astype(np.float32))
+    moved = (rotation @ along[:, :, None])[:, :, 0]
+    kept = torch.nonzero(~dead & ~(grows & splits))[:, 0]
+    return Change(torch.cat([kept, torch.nonzero(grows & ~splits)[:, 0], split]), len(kept), moved)
+
+
+def view_settings(photographs: PhotographSet) -> Settings:
     """Returns the rendering settings of a scene."""
-    near = settings.begin.near * scene_length(photographs)
     red, green, blue = photographs.background
-    return Settings(settings.low_pass, near, background=(red / 255, green / 255, blue / 255))
+    return Settings(LOW_PASS, NEAR * scene_length(photographs), background=(red / 255, green / 255, blue / 255))
 
 
 class SplatTrainer:
-    """A training run in progress (a Savable of refcodec.train.state).
+    """A training run in progress.
 
     splats: its Gaussians. done: finished steps. seconds: processor time of all steps except the first, which compiles.
-    loss: of the last step.
     """
 
     def __init__(self, photographs: PhotographSet, settings: SplatSettings) -> None:
         """Initialises the Gaussians from the points of the photographs. Raises ValueError without points."""
         if not len(photographs.points):
             raise ValueError("there are no points to begin with")
-        self.photographs, self.settings = photographs, settings
+        self.photographs, self.settings, self.view = photographs, settings, view_settings(photographs)
         self.random = torch.Generator().manual_seed(settings.seed)
-        self.view = view_settings(photographs, settings)
         centres = np.stack([p.camera.centre for p in photographs.train])
-        away = np.linalg.norm(centres - centres.mean(axis=0), axis=1).max()
+        away = float(np.linalg.norm(centres - centres.mean(axis=0), axis=1).max())
         # A single camera has no extent.
-        self.extent = settings.extent * float(away) or scene_length(photographs)
+        self.extent = EXTENT * away or scene_length(photographs)
         self.images: dict[int, Tensor] = {}
-        self.done, self.seconds, self.loss = 0, 0.0, math.nan
         self.order: list[int] = []
+        self.done, self.seconds = 0, 0.0
         self._take(self._first())
-        self.density = Density(settings.density, self.extent, self.count)
 
     @property
     def count(self) -> int:
@@ -71,12 +168,11 @@ class SplatTrainer:
 
     def _first(self) -> dict[str, Tensor]:
         """Returns 3DGS's first Gaussians: round, sized by the distance of neighbours, in the colours of the points."""
-        begin = self.settings.begin
-        most = max(int(begin.share * self.settings.density.most), 1)
+        most = max(self.settings.most // 2, 1)
         rows = torch.randperm(len(self.photographs.points), generator=self.random)[:most].sort().values.numpy()
         points = self.photographs.points[rows]
         n = len(points)
-        distance = cKDTree(points).query(points, min(begin.neighbours + 1, n))[0].reshape(n, -1)[:, 1:]
+        distance = cKDTree(points).query(points, min(4, n))[0].reshape(n, -1)[:, 1:]
         size = np.sqrt((distance**2).mean(axis=1)) if distance.shape[1] else np.full(n, 0.01 * self.extent)
         # 3DGS's least squared distance, for points that coincide.
         scale = np.log(np.maximum(size, math.sqrt(1e-7))).astype(np.float32)
@@ -85,139 +181,67 @@ class SplatTrainer:
             "mean": torch.from_numpy(points.astype(np.float32)),
             "base": torch.from_numpy(base),
             "rest": torch.zeros(n, REST[self.settings.degree], 3),
-            "opacity": torch.full((n,), _logit(begin.opacity)),
+            "opacity": torch.full((n,), math.log(OPACITY / (1 - OPACITY))),
             "scale": torch.from_numpy(scale)[:, None].repeat(1, 3),
             "quaternion": torch.tensor([1.0, 0, 0, 0]).repeat(n, 1),
         }
 
-    def _take(self, splats: dict[str, Tensor]) -> None:
-        """Replaces the Gaussians, and resets the optimiser."""
-        self.splats = {name: splats[name].clone().requires_grad_() for name in NAMES}
-        groups = [{"params": [self.splats[name]], "lr": 0.0} for name in NAMES]
+    def _take(self, splats: Tensors) -> None:
+        """Replaces the Gaussians, and resets the optimiser and the statistics of density control."""
+        self.splats = {name: splats[name].clone().requires_grad_() for name in LEARNING_RATES}
+        groups = [{"params": [value], "lr": 0.0} for value in self.splats.values()]
         self.optimiser = torch.optim.Adam(groups, eps=ADAM_EPSILON, fused=True)
-
-    # --- a step -------------------------------------------------------------------------------------------------------
+        # Sums of the lengths of the projected means' gradients, and the number of steps that drew each.
+        self.gradient, self.seen = torch.zeros(self.count), torch.zeros(self.count)
 
     def step(self) -> None:
         """Runs one training step."""
-        began = time.process_time()
-        settings, share = self.settings, self.done / self.settings.steps
-        for name, group in zip(NAMES, self.optimiser.param_groups, strict=True):
-            rate = learning_rate(getattr(settings.rates, name), share)
-            group["lr"] = rate * (self.extent if name == "mean" else 1)
+        began, share = time.process_time(), self.done / self.settings.steps
+        for (name, decay), group in zip(LEARNING_RATES.items(), self.optimiser.param_groups, strict=True):
+            group["lr"] = learning_rate(decay, share) * (self.extent if name == "mean" else 1)
         if not self.order:
             self.order = torch.randperm(len(self.photographs.train), generator=self.random).tolist()
         number = self.order.pop()
+        if number not in self.images:
+            self.images[number] = pixels(self.photographs.train[number])
         screen = torch.zeros(self.count, requires_grad=True)
-        camera = self.photographs.train[number].camera
-        image, _, radius = drawn(self.splats, camera, self.view, self._degree(share), screen)
-        loss = photometric(image, self._image(number), settings.ssim)
-        loss.backward()
+        # One more degree is in use after each 30th of the steps.
+        degree = min(int(share / (1 / 30)), self.settings.degree)
+        image, _, radius = drawn(self.splats, self.photographs.train[number].camera, self.view, degree, screen)
+        photometric(image, self.images[number], SSIM).backward()
         self.optimiser.step()
         self.optimiser.zero_grad(set_to_none=True)
         self.done += 1
-        self.loss = float(loss.detach())
-        if share < settings.density.end and screen.grad is not None:
-            self.density.note(screen.grad, radius)
-            self._densify()
+        if share < END and screen.grad is not None:
+            self.gradient += torch.where(radius > 0, screen.grad, 0)
+            self.seen += radius > 0
+            if self.done % PERIOD == 0 and self.done > BEGIN * self.settings.steps:
+                self._change()
+            if self.done % RESET_PERIOD == 0:
+                self._reset()
         # The first step compiles.
         self.seconds += time.process_time() - began if self.done > 1 else 0.0
 
-    def _degree(self, share: float) -> int:
-        """Returns the highest degree of harmonics in use at a share of the steps."""
-        every = self.settings.degree_share
-        return self.settings.degree if not every else min(int(share / every), self.settings.degree)
-
-    def _image(self, number: int) -> Tensor:
-        if number not in self.images:
-            self.images[number] = pixels(self.photographs.train[number])
-        return self.images[number]
-
-    def _densify(self) -> None:
-        """Applies density control after this step, if it is due."""
-        density = self.settings.density
-        if self.done % density.period == 0 and self.done > density.begin * self.settings.steps:
-            self._change(self.done > density.reset_period)
-        if self.done % density.reset_period == 0:
-            self._reset()
-
-    def _change(self, large: bool) -> None:
-        change = self.density.change(self.splats, large, self.random)
-        shrink = self.settings.density.shrink
+    def _change(self) -> None:
+        mean, large = self.gradient / self.seen.clamp_min(1), self.done > RESET_PERIOD
+        made = change(self.splats, mean, self.settings.most, self.extent, large, self.random)
+        before = {name: self.optimiser.state.get(value) for name, value in self.splats.items()}
+        self._take({name: made.values(name, value.detach()) for name, value in self.splats.items()})
         # Unused harmonics have no moments.
-        before = {
-            name: self.optimiser.state[self.splats[name]] for name in NAMES if self.splats[name] in self.optimiser.state
-        }
-        self._take({name: change.values(name, self.splats[name].detach(), shrink) for name in NAMES})
-        for name, state in before.items():
-            found = {key: change.moments(state[key]) for key in ("exp_avg", "exp_avg_sq")}
-            self.optimiser.state[self.splats[name]] = {"step": state["step"], **found}
-        self.density.begin(self.count)
+        for name, state in ((name, state) for name, state in before.items() if state):
+            kept = {key: made.moments(state[key]) for key in ("exp_avg", "exp_avg_sq")}
+            self.optimiser.state[self.splats[name]] = {"step": state["step"], **kept}
 
     @torch.no_grad()
     def _reset(self) -> None:
         opacity = self.splats["opacity"]
-        opacity.clamp_(max=_logit(self.settings.density.reset_opacity))
+        opacity.clamp_(max=math.log(RESET / (1 - RESET)))
         for key in ("exp_avg", "exp_avg_sq"):
             self.optimiser.state[opacity][key].zero_()
 
-    def run(self, watch: Callable[[SplatTrainer], None], save: Callable[[], None] | None = None) -> bool:
-        """Trains to the end, or until an interrupt (Ctrl-C), after which it finishes the current step.
-
-        watch: called after each step. save: called regularly, and when training ends early. Returns whether training is
-        complete.
-        """
-        stop = threading.Event()
-        saved = time.monotonic()
-        with on_interrupt(lambda *_: stop.set()):
-            while self.done < self.settings.steps and not stop.is_set():
-                self.step()
-                watch(self)
-                if save and (stop.is_set() or time.monotonic() - saved > self.settings.save_seconds):
-                    save()
-                    saved = time.monotonic()
-        return self.done == self.settings.steps
-
-    def result(self) -> dict[str, Tensor]:
-        """Returns the Gaussians, except those that density control would prune for their opacity."""
-        kept = torch.sigmoid(self.splats["opacity"].detach()) >= self.settings.density.opacity
-        return {name: self.splats[name].detach()[kept] for name in NAMES}
-
-    # --- the saved state ----------------------------------------------------------------------------------------------
-
-    def fingerprint(self) -> dict[str, Any]:
-        """As Savable."""
-        photographs = [[p.camera.name, p.camera.width, p.camera.height] for p in self.photographs.train]
-        return {"settings": document(self.settings), "photographs": photographs}
-
-    def state(self) -> dict[str, Any]:
-        """As Savable."""
-        density = {f"density/{name}": getattr(self.density, name) for name in ("gradient", "seen")}
-        return {
-            **{f"splats/{name}": self.splats[name].detach() for name in NAMES},
-            **moments(self.optimiser),
-            **density,
-            "done": self.done,
-            "seconds": self.seconds,
-            "order": self.order,
-            "random": self.random.get_state(),
-        }
-
-    def restore(self, state: Saved) -> None:
-        """As Savable."""
-        count = len(state.tensor("splats/opacity", (None, *self.splats["opacity"].shape[1:])))
-        shapes = {name: (count, *self.splats[name].shape[1:]) for name in NAMES}
-        self._take({name: state.tensor(f"splats/{name}", shape) for name, shape in shapes.items()})
-        restore_moments(self.optimiser, state)
-        for name in ("gradient", "seen"):
-            setattr(self.density, name, state.tensor(f"density/{name}", (count,), low=0))
-        self.done, self.seconds = state.integer("done", 0, self.settings.steps), state.real("seconds", 0)
-        views = len(self.photographs.train)
-        self.order = [int(number) for number in state.numbers("order")]
-        if any(not 0 <= number < views for number in self.order):
-            raise state.fault("order", f"has a number that is not from 0 to {views - 1}")
-        state.generator("random", self.random)
-
-
-def _logit(share: float) -> float:
-    return math.log(share / (1 - share))
+    def run(self) -> dict[str, Tensor]:
+        """Trains to the end. Returns the Gaussians, except those that density control would prune for their opacity."""
+        while self.done < self.settings.steps:
+            self.step()
+        kept = torch.sigmoid(self.splats["opacity"].detach()) >= PRUNED
+        return {name: value.detach()[kept] for name, value in self.splats.items()}

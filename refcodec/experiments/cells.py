@@ -98,9 +98,20 @@ def read_result(folder: Path) -> Result | None:
     return found if found and found.hash == hash_of(found.definition) else None
 
 
-def write_result(folder: Path, definition: dict[str, Any], shown: Evaluation, file: Path | None, job: Job) -> None:
-    """Writes the result of a job. file: that whose digest is in it."""
+def write_result(
+    folder: Path,
+    definition: dict[str, Any],
+    shown: Evaluation,
+    file: Path | None,
+    job: Job,
+    trained: float | None = None,
+) -> None:
+    """Writes the result of a job.
+
+    file: that whose digest is in it. trained: processor seconds of the training, None for those of its command.
+    """
     entries = job.entries()
+    processor = {step.name: round(entries[step.name].processor_seconds, 2) for step in job.steps}
     result = Result(
         format="C3GS cell",
         hash=hash_of(definition),
@@ -108,7 +119,7 @@ def write_result(folder: Path, definition: dict[str, Any], shown: Evaluation, fi
         **msgspec.structs.asdict(shown),
         sha256=hashlib.sha256(file.read_bytes()).hexdigest() if file else None,
         seconds={step.name: round(entries[step.name].seconds, 2) for step in job.steps},
-        processor_seconds={step.name: round(entries[step.name].processor_seconds, 2) for step in job.steps},
+        processor_seconds=processor if trained is None else {"train": trained},
     )
     write_file(folder / RESULT, dumped(result))
 

@@ -83,7 +83,9 @@ def _read(path: Path) -> list[Row]:
         with path.open(newline="", encoding="utf-8") as file:
             lines = [*csv.DictReader(file)]
         numbers = [{"lambda_r": number, **line} for number, line in enumerate(lines, 1)]
-        rows = [{**line, **{key: float(line[key]) for key in ("bytes", "psnr", "lambda_r")}} for line in numbers]
+        rows: list[Row] = [
+            {**line, **{key: float(line[key]) for key in ("bytes", "psnr", "lambda_r")}} for line in numbers
+        ]
     except OSError as error:
         raise RunError(f"{path}: {error.strerror}") from None
     except (KeyError, TypeError, ValueError, csv.Error):

@@ -20,7 +20,6 @@ import pytest
 from test_web_three import FOLDERS
 from web_program import ROOT, WEB
 
-from benchmarks.chromium import Chromium, find
 from benchmarks.large import made_static
 from refcodec.bitstream import cameras, codec
 from refcodec.bitstream.scene import Ancillary
@@ -28,6 +27,7 @@ from refcodec.formats.glb import glb_bytes
 from refcodec.rendering.camera import axis_direction
 from refcodec.rendering.gaussians import static_splats
 from refcodec.viewer.page import page
+from tests.chromium import Chromium, find
 
 pytestmark = [
     pytest.mark.no_cover,

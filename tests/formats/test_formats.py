@@ -20,8 +20,7 @@ pytest.importorskip("PIL", reason="SOG has images")
 
 from plyfile import PlyData
 
-from benchmarks.exports.clients import as_read
-from benchmarks.peers.convert import convert, tool
+from benchmarks.peers.convert import as_read, convert, tool
 from refcodec.bitstream.cameras import rotation_matrix
 from refcodec.formats import packing
 from refcodec.formats.common import BITS_LEAST, BITS_MOST, Options

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.chromium import Chromium, find
+from tests.chromium import Chromium, find
 
 ROOT = Path(__file__).resolve().parents[2]
 

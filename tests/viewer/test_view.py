@@ -21,10 +21,10 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.chromium import Chromium
 from refcodec.cli.main import main
 from refcodec.viewer.bundle import bundle
 from refcodec.viewer.server import Server
+from tests.chromium import Chromium
 
 CONTENT = bytes(range(256))
 

@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.chromium import BrowserError, Chromium
 from conformance.cases.scenes import PLANELESS, random_scene
 from refcodec.bitstream.attributes import Attributes
 from refcodec.bitstream.cameras import CAMERAS, cameras, emit_cameras
@@ -26,6 +25,7 @@ from refcodec.cli.main import main
 from refcodec.files.text import printable
 from refcodec.viewer.bundle import bundle
 from refcodec.viewer.page import page
+from tests.chromium import BrowserError, Chromium
 
 ROOT = Path(__file__).resolve().parents[2]
 VALID = ROOT / "vectors" / "valid"

@@ -73,8 +73,8 @@ class Learning(Stage):
                 joints[sets] = joined([rows for rows, _ in given])
             rows, place = joints[sets]
             gradient = added(place, [grad for _, grad in given], len(rows))
-            tables = (kind[name] for kind in (self.scaffold.tables, self.scaffold.first, self.scaffold.second))
-            adam_torch(*tables, self.clock.done + 1, rows, gradient, rate)
+            table, moments = self.scaffold.tables[name], (self.scaffold.first[name], self.scaffold.second[name])
+            adam_torch(table, *moments, self.clock.done + 1, rows, gradient, rate)
 
     def _descend_in_kernel(self, step: Step, rates: dict[str, float]) -> None:
         """A step of Adam for the rows of each table that have a gradient.

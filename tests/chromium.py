@@ -17,7 +17,6 @@ import subprocess
 import tempfile
 import time
 from collections.abc import Iterator
-from pathlib import Path
 from types import TracebackType
 from typing import Any
 
@@ -206,21 +205,6 @@ class Chromium:
         while time.monotonic() < end:
             yield
             time.sleep(0.02)
-
-    def processor(self) -> dict[str, float]:
-        """Returns the processor seconds so far by kind of process: `renderer` has the page and its workers."""
-        found: dict[str, float] = {}
-        for folder in Path("/proc").glob("[0-9]*"):
-            with contextlib.suppress(OSError):
-                # The name, in parentheses, may contain spaces.
-                fields = (folder / "stat").read_text().rpartition(")")[2].split()
-                if int(fields[2]) != self._process.pid:
-                    continue
-                words = (folder / "cmdline").read_bytes().replace(b"\0", b" ").split()
-                kind = next((word[7:].decode() for word in words if word.startswith(b"--type=")), "browser")
-                seconds = (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-                found[kind] = found.get(kind, 0.0) + seconds
-        return found
 
     def screenshot(self) -> bytes:
         """Returns a screenshot of the page as a PNG file."""

@@ -1,0 +1,77 @@
+"""One way of decoding a file, in a process of its own: python -m benchmarks.decoding WAY FILE
+
+WAY is `whole`; `digest`, with the SHA-256; or `streaming`: the bytes come in blocks, and each chunk is released. The
+file is decoded to float32 values twice. The process prints, as JSON, seconds and processor seconds of the second time,
+those of its parts if it is whole, and the digest if there is one. Static scenes end with Gaussians.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from refcodec.bitstream.codec import parse
+from refcodec.bitstream.dimensions import STATIC
+from refcodec.bitstream.errors import BitstreamError
+from refcodec.bitstream.reader import Reader
+from refcodec.bitstream.reconstruction import digest, gaussians, reconstruct
+from refcodec.bitstream.source import Arriving
+
+# Bytes of a block of a streamed file.
+BLOCK = 1000
+
+
+def whole(path: Path) -> dict[str, Any]:
+    """Decodes a file that is in memory. Returns processor seconds of the parts, and the number of Gaussians."""
+    data, start = path.read_bytes(), time.process_time()
+    scene = parse(data).scene
+    symbols = time.process_time()
+    values = reconstruct(scene)
+    parts = {"symbols": symbols - start, "values": time.process_time() - symbols}
+    if scene.render.render_model == STATIC:
+        before = time.process_time()
+        gaussians(scene, values)
+        parts["Gaussians"] = time.process_time() - before
+    return {"parts": parts, "count": int(scene.masks.sum())}
+
+
+def with_digest(path: Path) -> dict[str, Any]:
+    """Decodes a file, and returns its digest, which is that of the values."""
+    return {"digest": digest(parse(path.read_bytes()).scene)[0]}
+
+
+def streaming(path: Path) -> dict[str, Any]:
+    """Decodes a file as it arrives."""
+
+    def blocks() -> Iterator[bytes]:
+        with path.open("rb") as file:
+            while block := file.read(BLOCK):
+                yield block
+
+    opened = Reader(Arriving(blocks())).open()
+    for chunk in opened.chunks():
+        if isinstance(chunk, BitstreamError):
+            raise chunk
+        reconstruct(opened.scene([chunk]))
+    opened.close()
+    return {}
+
+
+WAYS: dict[str, Callable[[Path], dict[str, Any]]] = {"whole": whole, "digest": with_digest, "streaming": streaming}
+
+
+def main(way: str, path: Path) -> None:
+    """Decodes twice, and prints the figures of the second time."""
+    WAYS[way](path)
+    seconds, processor = time.perf_counter(), time.process_time()
+    made = WAYS[way](path)
+    made |= {"seconds": time.perf_counter() - seconds, "processor": time.process_time() - processor}
+    print(json.dumps(made))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], Path(sys.argv[2]))

@@ -1,1 +1,0 @@
-"""Exported scenes: quality and bytes of each format, and third-party clients."""
