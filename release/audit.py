@@ -22,12 +22,7 @@ GLIBC = (2, 17)
 # The kind of the library and its processors by the first word of a tag, and the libraries that every system has: those
 # of PEP 599 for manylinux, and on Windows the system and its C library in pieces.
 _KINDS = {"manylinux": "ELF", "musllinux": "ELF", "macosx": "Mach-O", "win": "PE"}
-_PROCESSORS = {
-    "x86_64": {"X86_64"},
-    "aarch64": {"AARCH64"},
-    "arm64": {"ARM64"},
-    "amd64": {"AMD64"},
-}
+_PROCESSORS = {name.lower(): name for name in ("X86_64", "AARCH64", "ARM64", "AMD64")}
 _LIBRARIES = {
     "manylinux": r"lib(?:[cm]\.so\.6|pthread\.so\.0)|ld-linux-(?:x86-64\.so\.2|aarch64\.so\.1)",
     "musllinux": r"libc\.so",
@@ -47,11 +42,6 @@ class Facts:
     oldest: tuple[int, ...]
     # Only macOS asks for a signature, which may be that of no one.
     signed: bool
-
-    def __str__(self) -> str:
-        words = [f"{self.kind} {self.processor}", " ".join(self.libraries) or "no libraries"]
-        words += [f"{'glibc' if self.kind == 'ELF' else 'macOS'} {_dotted(self.oldest)}"] if self.oldest else []
-        return ", ".join(words)
 
 
 def facts(content: bytes) -> Facts:
@@ -82,27 +72,25 @@ def facts(content: bytes) -> Facts:
     raise UsageError("neither ELF nor Mach-O nor PE")
 
 
-def check_kernel(content: bytes, target: Target) -> Facts:
-    """Returns the facts of a kernel. Raises UsageError if the system of its wheel may not load it."""
-    found = facts(content)
-    faults = [*_faults(found, target.tag.split(".")[0])]
-    if faults:
+def check_kernel(content: bytes, target: Target) -> None:
+    """Raises UsageError if the system of a wheel may not load its kernel."""
+    if faults := [*_faults(facts(content), target.tag.split(".")[0])]:
         raise UsageError(f"the kernel for {target.name}: {'; '.join(faults)}")
-    return found
 
 
 def _faults(found: Facts, tag: str) -> Iterator[str]:
     system = re.split(r"[_0-9]", tag)[0]
-    processors = next(names for end, names in _PROCESSORS.items() if tag.endswith(end))
-    if found.kind != _KINDS[system] or found.processor not in processors:
+    processor = next(name for end, name in _PROCESSORS.items() if tag.endswith(end))
+    if (found.kind, found.processor) != (_KINDS[system], processor):
         yield f"it is {found.kind} for {found.processor}"
     strange = [name for name in found.libraries if not re.fullmatch(_LIBRARIES[system], name)]
     if strange:
         yield f"it needs {', '.join(strange)}, which not every system has"
-    if system == "manylinux" and found.oldest > GLIBC:
-        yield f"it needs glibc {_dotted(found.oldest)}, and the tag promises {_dotted(GLIBC)}"
-    if system == "macosx" and found.oldest > _numbers(tag):
-        yield f"it needs macOS {_dotted(found.oldest)}, and the tag promises {_dotted(_numbers(tag))}"
+    promised = {"manylinux": GLIBC, "macosx": _numbers(tag)}.get(system, ())
+    if promised and found.oldest > promised:
+        name, *versions = "glibc" if system == "manylinux" else "macOS", found.oldest, promised
+        needed, tagged = (".".join(map(str, version)) for version in versions)
+        yield f"it needs {name} {needed}, and the tag promises {tagged}"
     if tag.endswith("arm64") and not found.signed:
         yield "it has no signature, not even that of no one, which macOS asks for on this processor"
     if FIRST not in found.exports:
@@ -113,7 +101,3 @@ def _numbers(name: str) -> tuple[int, ...]:
     """Returns the version in a name, such as that of GLIBC_2.2.5 or macosx_11_0_arm64."""
     found = re.search(r"\d+(?:[._]\d+)*", name)
     return tuple(map(int, re.split("[._]", found[0]))) if found else ()
-
-
-def _dotted(numbers: tuple[int, ...]) -> str:
-    return ".".join(map(str, numbers))

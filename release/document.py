@@ -1,4 +1,4 @@
-"""SPEC.md as one HTML file, which needs no other file, and as a PDF, which Chromium makes of it."""
+"""SPEC.md as one HTML file, which needs no other file. Browsers print it on pages of A4."""
 
 from __future__ import annotations
 
@@ -6,38 +6,23 @@ import base64
 import hashlib
 import html
 import re
-import shutil
-import subprocess
-import tempfile
-import time
 from functools import cache
 from pathlib import Path
 
 from docs import chapters
 from refcodec.bitstream.errors import REGISTRY
 from refcodec.inspect import specification
-from refcodec.statuses import UsageError
 
 from .source import Source
 from .statements import when
 
-_SECONDS = 600
-BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 # Targets of MyST before a requirement, in the Markdown of docs.chapters.
 _STATED = re.compile(r"^- \((\S+)\)=\n  \*\*\\\[(\S+?)\\\]\*\*", re.MULTILINE)
-# The names of elements in a PDF, whose numbers begin with another one each time.
-_ELEMENT = re.compile(rb"\(node(\d{8})\)")
-_DATES = re.compile(rb"(/(?:CreationDate|ModDate) \(D:)\d{14}([^)]*\))")
-
-
-def name_of(source: Source, ending: str) -> str:
-    """Returns the file name of the document."""
-    return f"c3gs-spec-{source.version}.{ending}"
 
 
 def page(source: Source, folder: Path) -> list[Path]:
     """Writes the HTML file. Permanent anchors are `#6.7`, `#R6.7-1` and `#e401`, as in the manual. Returns its path."""
-    path = folder / name_of(source, "html")
+    path = folder / f"c3gs-spec-{source.version}.html"
     parts = [_rendered(chapter.text) for chapter in chapters.chapters()]
     manifest = hashlib.sha256((source.folder / "vectors" / "manifest.json").read_bytes()).hexdigest()
     rows = {
@@ -61,31 +46,6 @@ def page(source: Source, folder: Path) -> list[Path]:
         f"<body>\n{body}</body>\n</html>\n",
         encoding="utf-8",
     )
-    return [path]
-
-
-def pdf(source: Source, folder: Path) -> list[Path]:
-    """Writes the PDF of the HTML file in the folder. Returns its path. Raises UsageError.
-
-    Its dates are those of the commit. The fonts and the pages are those of this machine's Chromium.
-    """
-    browser = next(filter(None, map(shutil.which, BROWSERS)), None)
-    if browser is None:
-        raise UsageError(f"the PDF needs a browser, one of {', '.join(BROWSERS)}: install it")
-    path = folder / name_of(source, "pdf")
-    with tempfile.TemporaryDirectory() as name:
-        made = Path(name) / "made.pdf"
-        options = ["--headless", "--no-sandbox", "--disable-gpu", f"--user-data-dir={name}/profile"]
-        options += ["--generate-pdf-document-outline", "--no-pdf-header-footer", f"--print-to-pdf={made}"]
-        command = [browser, *options, (folder / name_of(source, "html")).resolve().as_uri()]
-        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=_SECONDS)
-        if not made.is_file():
-            raise UsageError(f"{browser} made no PDF: {done.stderr[-500:]}")
-        stamp = time.strftime("%Y%m%d%H%M%S", time.gmtime(source.epoch)).encode()
-        # All is replaced by as many bytes, so that the offsets in the file stay right.
-        data = _DATES.sub(rb"\g<1>" + stamp + rb"\g<2>", made.read_bytes())
-        ranks = {number: rank for rank, number in enumerate(sorted(set(_ELEMENT.findall(data))))}
-        path.write_bytes(_ELEMENT.sub(lambda found: b"(node%08d)" % ranks[found[1]], data))
     return [path]
 
 

@@ -39,30 +39,15 @@ def parts(name: str, tag: str) -> list[Part]:
     return [WASI, *native, *([MINGW] if tag.startswith("win") else [])]
 
 
-def text(found: list[Part]) -> bytes:
-    """Returns the licences of parts."""
-    return b"\n".join(_licence(part) for part in found)
-
-
 @cache
-def _licence(part: Part) -> bytes:
-    found = importlib.util.find_spec("ziglang")
-    assert found is not None
-    assert found.origin is not None
-    folder = Path(found.origin).parent
-    head = f"{'=' * 80}\n{part.name} ({part.licence})\n{'=' * 80}\n\n".encode()
-    return head + b"\n".join((folder / name).read_bytes() for name in part.files)
-
-
-def of_wheel(info: str, name: str, tag: str) -> dict[str, bytes]:
-    """Returns the file of the licences of a wheel's parts, by path. info: its .dist-info folder."""
-    found = parts(name, tag)
-    return {f"{info}licenses/{FILE}": text(found)} if found else {}
-
-
-def listed(metadata: str, info: str, files: dict[str, bytes]) -> str:
-    """Returns metadata that list the file, if it is among the files."""
-    line = f"License-File: {FILE}\n"
-    if f"{info}licenses/{FILE}" not in files or line in metadata:
-        return metadata
-    return metadata.replace("License-File: LICENSE\n", f"License-File: LICENSE\n{line}", 1)
+def text(*found: Part) -> bytes:
+    """Returns the licences of parts."""
+    package = importlib.util.find_spec("ziglang")
+    assert package is not None
+    assert package.origin is not None
+    folder, line = Path(package.origin).parent, "=" * 80
+    return b"\n".join(
+        f"{line}\n{part.name} ({part.licence})\n{line}\n\n".encode()
+        + b"\n".join((folder / name).read_bytes() for name in part.files)
+        for part in found
+    )

@@ -45,7 +45,7 @@ def npm(source: Source, folder: Path) -> list[Path]:
     names = [path.name for path in web.iterdir() if any(fnmatchcase(path.name, one) for one in package["files"])]
     files = {f"package/{name}": (web / name).read_bytes() for name in (*names, "package.json", "README.md")}
     files["package/LICENSE"] = (source.folder / "LICENSE").read_bytes()
-    files[f"package/{notices.FILE}"] = notices.text([notices.WASI])
+    files[f"package/{notices.FILE}"] = notices.text(notices.WASI)
     programs = frozenset(f"package/{name}" for name in package["bin"].values())
     path = folder / f"{package['name']}-{source.version}.tgz"
     path.write_bytes(archives.tar_gz(files, source.epoch, programs))
@@ -77,7 +77,7 @@ def decoder(source: Source, folder: Path, processor: str) -> list[Path]:
         "tables-0.bin": (source.folder / "refcodec" / "data" / "tables-0.bin").read_bytes(),
         "README.txt": _DECODER.format(processor=processor, version=source.version).encode(),
         "LICENSE": (source.folder / "LICENSE").read_bytes(),
-        notices.FILE: notices.text([notices.MUSL, notices.RUNTIME]),
+        notices.FILE: notices.text(notices.MUSL, notices.RUNTIME),
     }
     path = folder / f"{prefix.rstrip('/')}.tar.gz"
     packed = {prefix + name: content for name, content in files.items()}

@@ -53,50 +53,29 @@ def bill(source: Source, metadata: str, tag: str, parts: list[Part]) -> bytes:
     for requirement in map(Requirement, fields.get_all("Requires-Dist") or []):
         if canonicalize_name(requirement.name) != canonicalize_name(name):
             needed.setdefault(canonicalize_name(requirement.name), []).append(requirement)
+    library: dict[str, object] = {"type": "library"}
     components = [
-        {
-            "type": "library",
-            "bom-ref": f"inside:{part.name}",
-            "name": part.name,
-            "version": f"of ziglang {version_of('ziglang')}",
-            "licenses": [_licence(part.licence)],
-            "scope": "required",
-            "properties": [{"name": "refcodec:place", "value": "inside this wheel"}],
-        }
+        library
+        | {"bom-ref": f"inside:{part.name}", "name": part.name, "version": f"of ziglang {version_of('ziglang')}"}
+        | {"licenses": [_licence(part.licence)], "scope": "required"}
+        | {"properties": [{"name": "refcodec:place", "value": "inside this wheel"}]}
         for part in parts
     ]
-    for other, requirements in sorted(needed.items()):
-        always = any(r.marker is None for r in requirements)
-        components.append(
-            {
-                "type": "library",
-                "bom-ref": f"pkg:pypi/{other}",
-                "name": other,
-                "purl": f"pkg:pypi/{other}",
-                "scope": "required" if always else "optional",
-                "properties": [{"name": "refcodec:requirement", "value": str(r)} for r in requirements],
-            }
-        )
+    components += [
+        library
+        | {"bom-ref": f"pkg:pypi/{other}", "name": other, "purl": f"pkg:pypi/{other}"}
+        | {"scope": "required" if any(r.marker is None for r in requirements) else "optional"}
+        | {"properties": [{"name": "refcodec:requirement", "value": str(r)} for r in requirements]}
+        for other, requirements in sorted(needed.items())
+    ]
+    wheel = library | {"bom-ref": own, "name": name, "version": version, "purl": own, "licenses": [_licence(LICENCE)]}
     # The same wheel has the same number, and another wheel another.
-    content = "\n".join([source.commit, own, tag])
+    number = uuid.uuid5(uuid.NAMESPACE_URL, "\n".join([source.commit, own, tag]))
     return dumped(
         {
             "$schema": "http://cyclonedx.org/schema/bom-1.6.schema.json",
-            "bomFormat": "CycloneDX",
-            "specVersion": "1.6",
-            "serialNumber": f"urn:uuid:{uuid.uuid5(uuid.NAMESPACE_URL, content)}",
-            "version": 1,
-            "metadata": {
-                "timestamp": when(source.epoch),
-                "component": {
-                    "type": "library",
-                    "bom-ref": own,
-                    "name": name,
-                    "version": version,
-                    "purl": own,
-                    "licenses": [_licence(LICENCE)],
-                },
-            },
+            **{"bomFormat": "CycloneDX", "specVersion": "1.6", "serialNumber": f"urn:uuid:{number}", "version": 1},
+            "metadata": {"timestamp": when(source.epoch), "component": wheel},
             "components": components,
             "dependencies": [{"ref": own, "dependsOn": [str(component["bom-ref"]) for component in components]}],
         }
@@ -112,25 +91,17 @@ def statement(source: Source, folder: Path) -> list[Path]:
     path = folder / f"c3gs-{source.version}.intoto.unsigned.json"
     subjects = [{"name": p.name, "digest": {"sha256": sha256(p)}} for p in _artefacts(folder) if p != path]
     tools = {name: version_of(name) for name in TOOLS} | {"python": platform.python_version()}
-    path.write_bytes(
-        dumped(
-            {
-                "_type": "https://in-toto.io/Statement/v1",
-                "subject": subjects,
-                "predicateType": "https://slsa.dev/provenance/v1",
-                "predicate": {
-                    "buildDefinition": {
-                        "buildType": "urn:c3gs:release:1",
-                        "externalParameters": {"command": "python -m release", "version": source.version},
-                        "internalParameters": {"SOURCE_DATE_EPOCH": source.epoch, "tools": tools},
-                        "resolvedDependencies": [{"name": "commit", "digest": {"gitCommit": source.commit}}],
-                    },
-                    # Not a service that anybody vouches for: whoever builds again gets the same sums.
-                    "runDetails": {"builder": {"id": "urn:c3gs:unsigned"}, "metadata": {}},
-                },
-            }
-        )
-    )
+    definition = {
+        "buildType": "urn:c3gs:release:1",
+        "externalParameters": {"command": "python -m release", "version": source.version},
+        "internalParameters": {"SOURCE_DATE_EPOCH": source.epoch, "tools": tools},
+        "resolvedDependencies": [{"name": "commit", "digest": {"gitCommit": source.commit}}],
+    }
+    # Not a service that anybody vouches for: whoever builds again gets the same sums.
+    run = {"builder": {"id": "urn:c3gs:unsigned"}, "metadata": {}}
+    made = {"_type": "https://in-toto.io/Statement/v1", "subject": subjects}
+    made |= {"predicateType": "https://slsa.dev/provenance/v1"}
+    path.write_bytes(dumped({**made, "predicate": {"buildDefinition": definition, "runDetails": run}}))
     return [path]
 
 

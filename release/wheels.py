@@ -15,7 +15,6 @@ import subprocess
 import sys
 import tempfile
 import zipfile
-from collections.abc import Callable
 from pathlib import Path
 
 from refcodec.statuses import UsageError
@@ -121,18 +120,20 @@ def _entry(name: str, place: str) -> bytes:
 def _write(source: Source, folder: Path, name: str, tag: str, files: dict[str, bytes]) -> Path:
     """Writes a wheel with its bill of materials, licences and record. Returns its path."""
     info = f"{name}-{source.version}.dist-info/"
-    files = {**files, **notices.of_wheel(info, name, tag)}
+    parts, metadata = notices.parts(name, tag), files[f"{info}METADATA"].decode()
+    if parts:
+        line, more = "License-File: LICENSE\n", f"License-File: {notices.FILE}\n"
+        metadata = metadata if more in metadata else metadata.replace(line, line + more, 1)
+        files = {**files, f"{info}licenses/{notices.FILE}": notices.text(*parts)}
     wheel = re.sub(r"^(?:Root-Is-Purelib|Tag): .*\n", "", files[f"{info}WHEEL"].decode(), flags=re.MULTILINE).strip()
     tags = "".join(f"Tag: py3-none-{one}\n" for one in tag.split("."))
     files[f"{info}WHEEL"] = f"{wheel}\nRoot-Is-Purelib: {str(tag == ANY).lower()}\n{tags}".encode()
-    files[f"{info}METADATA"] = notices.listed(files[f"{info}METADATA"].decode(), info, files).encode()
-    bill = statements.bill(source, files[f"{info}METADATA"].decode(), tag, notices.parts(name, tag))
-    files[f"{info}sboms/{name}.cdx.json"] = bill
+    files[f"{info}METADATA"] = metadata.encode()
+    files[f"{info}sboms/{name}.cdx.json"] = statements.bill(source, metadata, tag, parts)
     record = f"{info}RECORD"
     files.pop(record, None)
     # The metadata are the last files of a wheel (binary distribution format).
-    order: Callable[[str], tuple[bool, str]] = lambda path: (path.startswith(info), path)  # noqa: E731
-    files = {path: files[path] for path in sorted(files, key=order)}
+    files = {path: files[path] for path in sorted(files, key=lambda path: (path.startswith(info), path))}
     lines = [f"{path},{_hash(content)},{len(content)}\n" for path, content in files.items()]
     files[record] = "".join([*lines, f"{record},,\n"]).encode()
     path = path_of(folder, name, source.version, tag)

@@ -31,7 +31,7 @@ INFO = "refcodec-0.1.0.dist-info/"
 @pytest.fixture(autouse=True)
 def _without_the_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
     """The licences of its parts are texts, and its version a word: the extra `release` may be missing."""
-    monkeypatch.setattr(notices, "text", lambda parts: ", ".join(part.name for part in parts).encode())
+    monkeypatch.setattr(notices, "text", lambda *parts: ", ".join(part.name for part in parts).encode())
     monkeypatch.setattr(statements, "version_of", lambda name: "1.0")
 
 
@@ -143,7 +143,7 @@ def test_every_part_goes_with_its_licence() -> None:
     assert names["Windows x86_64"] == ["wasi-libc", "zig compiler-rt", "mingw-w64"]
     assert names["Linux x86_64"] == ["wasi-libc", "zig compiler-rt"]
     assert notices.parts("refcodec_conformance", wheels.ANY) == []
-    assert set(notices.of_wheel(INFO, "refcodec", wheels.ANY)) == {f"{INFO}licenses/THIRD-PARTY.txt"}
+    assert notices.parts("refcodec", wheels.ANY) == [notices.WASI]
 
 
 def test_one_compiler_is_pinned() -> None:
@@ -178,7 +178,7 @@ def test_a_library_that_a_system_may_not_load_is_refused(
     monkeypatch.setattr(audit, "facts", lambda _: facts)
     target = compiler.Target("a system", "", tag)
     if fault is None:
-        assert audit.check_kernel(b"", target) == facts
+        audit.check_kernel(b"", target)
     else:
         with pytest.raises(UsageError, match=re.escape(fault)):
             audit.check_kernel(b"", target)
