@@ -1,11 +1,13 @@
 """The vectors of each line of SPEC.md's blocks, on the pages of SPEC.md: numbers beside the code, and a table below it.
 
-An extension of Sphinx. `python -m spec --coverage --write` makes the record that it shows.
+An extension of Sphinx. It shows the record that `python -m spec --coverage --write` makes, or of the variable
+C3GS_COVERAGE. Without a record of this SPEC.md and these vectors, the blocks are plain code.
 """
 
 from __future__ import annotations
 
 import json
+import os
 import re
 from functools import cache
 from html import escape
@@ -19,7 +21,7 @@ from sphinx.transforms import SphinxTransform
 
 from conformance import manifest
 from refcodec.inspect import specification
-from spec.coverage import RECORD
+from spec.coverage import RECORD, versions
 from spec.decoder import TARGET
 
 from . import chapters, vectors
@@ -41,7 +43,9 @@ details.reached pre { margin: 0; padding: 0; white-space: pre-wrap; background: 
 @cache
 def by_block() -> dict[str, list[Reach]]:
     """Returns what reaches each line of each block of SPEC.md, by the text of the block."""
-    record = json.loads(Path(RECORD).read_text(encoding="utf-8"))["lines"]
+    path = Path(os.environ.get("C3GS_COVERAGE", RECORD))
+    made = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {"lines": {}}
+    record = made["lines"] if versions().items() <= made.items() else {}
     names = [vector.id for vector in manifest.load().vectors]
     source = TARGET.read_text(encoding="utf-8").splitlines()
     found: dict[str, list[Reach]] = {}
@@ -76,7 +80,7 @@ class Blocks(SphinxTransform):
             return
         for block in list(self.document.findall(nodes.literal_block)):
             reach = by_block().get(block.astext().rstrip("\n"))
-            if reach is not None:
+            if reach and any(reach):
                 block.replace_self(Block(block.rawsource, block.astext().rstrip("\n"), reach=reach))
 
 

@@ -4,7 +4,7 @@ python -m spec            writes the files that are not current
 python -m spec --check    names stale files and wrong citations of SPEC.md, and exits with 1 if there are any
 python -m spec --vectors  prints the vectors of each requirement, error code, feature and flag
 python -m spec --coverage prints which lines, conditions and extremes no vector reaches, in a minute
-python -m spec --coverage --write also writes docs/coverage.json, the vectors of each line, which the manual shows
+python -m spec --coverage --write also writes build/coverage.json, the vectors of each line, which the manual shows
 python -m spec --proofs   proves the bounds of 7.11 and the entropy coder for all inputs with z3, in a minute
 """
 

@@ -41,7 +41,7 @@ KINDS = {
 }
 ANY_FILE = "any file"
 # The record of the lines, and how many vectors it names for each.
-RECORD, SHOWN = ROOT / "docs" / "coverage.json", 10
+RECORD, SHOWN = ROOT / "build" / "coverage.json", 10
 # Functions of images, which no vector has: tests/rendering compares the renderer with them.
 IMAGES = {"ROTATION", "PRODUCT", "PROJECT", "PIXEL"}
 # Functions that compare real numbers, which have no next number.
@@ -386,5 +386,6 @@ def main(jobs: int | None = None, write: bool = False) -> int:
     reports = report(_probed().sites, found), extremes_of(text, extremes), elements.report(text, manifest)
     print("\n".join(line for lines, _ in reports for line in lines))
     if write:
+        RECORD.parent.mkdir(exist_ok=True)
         RECORD.write_text(record(_probed().sites, found, manifest), encoding="utf-8")
     return 1 if any(holes for _, holes in reports) else 0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import re
+from pathlib import Path
 
 import pytest
 
@@ -15,18 +16,25 @@ from docs import reach
 from refcodec.inspect import specification
 
 
-def test_each_block_has_its_lines() -> None:
+def test_each_block_has_its_lines(record: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each line of the record is a line of one block, and no number is beside a comment or an empty line."""
-    found = reach.by_block()
+    monkeypatch.setenv("C3GS_COVERAGE", str(record))
+    found = reach.by_block.__wrapped__()
     blocks = re.findall(r"^```python\n(.*?)\n```$", specification.text(), re.DOTALL | re.MULTILINE)
     assert list(found) == blocks
     entries = [entry for block in found.values() for entry in block if entry is not None]
-    assert len(entries) == len(json.loads(reach.RECORD.read_text(encoding="utf-8"))["lines"])
+    assert len(entries) == len(json.loads(record.read_text(encoding="utf-8"))["lines"])
     for block, lines in found.items():
         for text, entry in zip(block.splitlines(), lines, strict=True):
             assert entry is None or (text.strip() and text.strip()[0] not in "#\"'")
     rounded = next(lines for block, lines in found.items() if block.startswith("def RSHIFT_ROUND"))
     assert [entry is None for entry in rounded[:3]] == [True, True, False]
+    # A record of another suite is not shown, and none need be there.
+    for text in (record.read_text(encoding="utf-8").replace('"manifest": "', '"manifest": "x'), None):
+        monkeypatch.setenv("C3GS_COVERAGE", str(tmp_path / "other.json"))
+        if text is not None:
+            (tmp_path / "other.json").write_text(text, encoding="utf-8")
+        assert not any(entry for block in reach.by_block.__wrapped__().values() for entry in block)
 
 
 def test_a_block() -> None:

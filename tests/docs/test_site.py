@@ -87,12 +87,14 @@ def test_the_page_of_commands(tmp_path: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def site(tmp_path_factory: pytest.TempPathFactory, record: Path) -> Path:
     """The site, built without a warning."""
     if any(importlib.util.find_spec(name) is None for name in BUILDER):
         pytest.skip("the extra `docs` is not installed")
     folder = tmp_path_factory.mktemp("site")
-    assert build(folder) == 0
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("C3GS_COVERAGE", str(record))
+        assert build(folder) == 0
     return folder
 
 

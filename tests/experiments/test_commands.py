@@ -6,10 +6,10 @@ import csv
 import os
 import re
 import sys
-import types
 from collections.abc import Callable
 from concurrent import futures
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -164,9 +164,6 @@ def test_rd(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for wrong in ("--holdout -1", "--set masks.epsilom=1", "--background grey", "--set rate.lambda_r=0.1"):
         assert main([*command, "0.04", "-o", str(tmp_path / "none"), *wrong.split()]) == 64
     assert not (tmp_path / "none").exists()
-
-
-def test_the_name_of_a_scene_is_that_of_its_folder() -> None:
     names = [scene_name(Path("/a", name)) for name in ("b_1.c", "a b/", ".é.", "x" * 70)]
     assert names == ["b_1.c", "a-b", "scene", "x" * 64]
 
@@ -174,50 +171,33 @@ def test_the_name_of_a_scene_is_that_of_its_folder() -> None:
 # --- Ray --------------------------------------------------------------------------------------------------------------
 
 
-class FakeRay(types.ModuleType):
-    """Ray, as far as the engine uses it: a task runs in a thread."""
+@pytest.fixture
+def ray(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
+    """Ray, as far as the engine uses it: a task runs in a thread. asked: the options of the last one."""
+    pool, fake = futures.ThreadPoolExecutor(), SimpleNamespace(connected=False)
 
-    def __init__(self) -> None:
-        super().__init__("ray")
-        self.resources, self.asked, self.connected = {"CPU": 4.0, "GPU": 2.0}, {}, False
-        self.exceptions = types.SimpleNamespace(RayError=LookupError)
-        self.pool = futures.ThreadPoolExecutor()
-
-    def init(self, **options: Any) -> None:
+    def init(**options: Any) -> None:
         if os.environ.get("RAY_ADDRESS"):
             raise ConnectionError("nobody\nis there")
-        assert options["num_cpus"] == os.cpu_count()
-        self.connected = True
+        fake.connected = options["num_cpus"] == os.cpu_count()
 
-    def shutdown(self) -> None:
-        self.connected = False
-
-    def cluster_resources(self) -> dict[str, float]:
-        return self.resources
-
-    def remote(self, function: Callable[..., Any]) -> Any:
+    def remote(function: Callable[..., Any]) -> Any:
         def options(**asked: Any) -> Any:
-            self.asked = asked
-            return types.SimpleNamespace(remote=lambda *arguments: self.pool.submit(function, *arguments))
+            fake.asked = asked
+            return SimpleNamespace(remote=lambda *arguments: pool.submit(function, *arguments))
 
-        return types.SimpleNamespace(options=options)
+        return SimpleNamespace(options=options)
 
-    def wait(self, references: list[Any], timeout: float) -> Any:
-        return futures.wait(references, timeout / 50)
-
-    def get(self, reference: Any) -> Any:
-        return reference.result()
-
-
-@pytest.fixture
-def ray(monkeypatch: pytest.MonkeyPatch) -> FakeRay:
-    module = FakeRay()
-    monkeypatch.setitem(sys.modules, "ray", module)
+    fake.init, fake.remote, fake.get = init, remote, lambda reference: reference.result()
+    fake.wait = lambda references, timeout: futures.wait(references, 0.01)
+    fake.shutdown, fake.exceptions = lambda: setattr(fake, "connected", False), SimpleNamespace(RayError=LookupError)
+    fake.cluster_resources = lambda: {"CPU": 4.0, "GPU": 2.0}
+    monkeypatch.setitem(sys.modules, "ray", fake)
     monkeypatch.delenv("RAY_ADDRESS", raising=False)
-    return module
+    return fake
 
 
-def test_ray(tmp_path: Path, ray: FakeRay, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ray(tmp_path: Path, ray: SimpleNamespace, monkeypatch: pytest.MonkeyPatch) -> None:
     """A job runs, receives the signal, or is lost. Processors and GPUs are counted."""
 
     def fake(job: Job, wanted: Callable[[], int]) -> Outcome:

@@ -4,12 +4,8 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Any
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-from msgspec import json
 
 from refcodec.experiments.cells import cells, hash_of
 from refcodec.experiments.plan import Experiment, ExperimentError, parse_experiment, read_experiment
@@ -98,30 +94,22 @@ def test_the_cells(monkeypatch: pytest.MonkeyPatch) -> None:
     ("old", "new", "words"),
     [
         ("lambdas = [0.01", "rates = [0.01", "rates is now named lambdas"),
-        ("lambdas = [0.5]", "rates = [0.5]", "rates is now named lambdas"),
         ("steps = 5", "stops = 5", "unknown field `stops`; `refcodec experiment --help` has the keys"),
         ("steps = 5", "steps = 0", "steps: Expected `int` >= 1"),
-        ("steps = 5", "steps = true", "got `bool`"),
         ("steps = 5", 'device = "tpu"', "'tpu'"),
-        ("[0.01, 0.004]", "[]", "length >= 1"),
-        ("[0.01, 0.004]", "[0]", "> 0.0"),
         ("[0.01, 0.004]", "[nan]", "finite"),
         ("[0.01, 0.004]", "[0.0040000001]", "six digits"),
         ("[0.01, 0.004]", "[0.01, 0.010]", "twice"),
         ("lambdas = [0.01, 0.004]\n", "", "no lambdas for scene one"),
-        ("[0, 7]", "[-1]", ">= 0"),
         ("[0, 7]", "[1, 1]", "twice"),
         ("[0, 7]", str([*range(1001)]), "length <= 1000"),
         ("[0, 7]", f"{[*range(1000)]}\n#", "more than 100000 cells"),
         ('baseline = "a"', 'baseline = "whole"', "methods of kind train are a, b"),
         ('name = "two"', 'name = "../two"', "the name '../two' is not 1 to 64 letters"),
-        ('name = "two"', 'name = "two."', "no dot last"),
         ('name = "two"', 'name = "ONE"', "the names of scenes has 'one' twice"),
-        ('photographs = "one"', "", "missing required field `photographs`"),
         ('photographs = "one"', 'photographs = "a\\u0000"', "photographs"),
         ("size = 40", 'size = "wide"', "WIDTHxHEIGHT"),
         ("size = 40", 'set = ["holdout=3"]', "the scene's holdout"),
-        ('kind = "uncompressed"', 'preset = "slow"', "'slow'"),
         ('scenes = ["two"]', 'scenes = ["three"]', "scenes are one, two"),
         ("masks.epsilon=0.03", "masks.epsilom=0.03", "no setting masks.epsilom"),
         ("masks.epsilon=0.03", "rate.lambda_r=0.1", "use lambdas instead"),
@@ -140,21 +128,6 @@ def test_a_wrong_file_is_refused(old: str, new: str, words: str) -> None:
     assert words in str(error.value)
     assert str(error.value).startswith("/x/x.toml: ")
     assert str(error.value).isprintable()
-
-
-_VALUES: Any = st.recursive(
-    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | st.text(max_size=5),
-    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.sampled_from(["name", "set", "x"]), inner),
-    max_leaves=5,
-)
-
-
-@given(st.dictionaries(st.sampled_from(["scenes", "methods", "lambdas", "seeds", "steps", "baseline"]), _VALUES))
-def test_any_document_is_refused(document: dict[str, Any]) -> None:
-    """A line of TOML for each key, with the value as JSON where TOML allows it."""
-    text = "\n".join(f"{key} = {json.encode(value).decode()}" for key, value in document.items())
-    with pytest.raises(ExperimentError):
-        read(text)
 
 
 def test_a_definition_depends_on_settings_photographs_and_commands() -> None:
