@@ -65,6 +65,7 @@ def _rd(arguments: argparse.Namespace) -> int:
         "up": arguments.up,
         "voxel": arguments.voxel,
         "anchors": arguments.anchors,
+        "degree": arguments.degree,
         "set": [change for change in arguments.set if change.partition("=")[0].strip() not in OWN_KEYS],
     }
     others = {"seeds": [chosen.seed], "steps": chosen.steps, "device": arguments.device}
@@ -73,7 +74,7 @@ def _rd(arguments: argparse.Namespace) -> int:
         # Errors in the photographs are reported before anything is written.
         places = DataSet(folder, chosen.size, chosen.background, chosen.holdout).read().places()
         rates = sorted(set(arguments.lambdas))
-        experiment = one_scene(scene, arguments.preset, rates, arguments.uncompressed, **others)
+        experiment = one_scene(scene, arguments.preset, rates, arguments.uncompressed, arguments.static, **others)
         return run_rd(experiment, places, Options(Path(arguments.output), jobs=arguments.jobs), against)
     except (ExperimentError, PhotographError) as error:
         raise UsageError(str(error)) from None

@@ -20,7 +20,7 @@ from .tables import BD_POINTS, CSV, CURVES, MARKDOWN, Row, compare, write_curves
 
 CODED, UNCOMPRESSED = "coded", "uncompressed"
 # The settings of options of `train`.
-_SETTINGS = {"background": "background", "voxel": "start.voxel", "anchors": "start.anchors"}
+_SETTINGS = {"background": "background", "voxel": "start.voxel", "anchors": "start.anchors", "degree": "degree"}
 
 
 def scene_name(photographs: Path) -> str:
@@ -29,17 +29,24 @@ def scene_name(photographs: Path) -> str:
 
 
 def one_scene(
-    scene: Mapping[str, Any], preset: str, lambdas: Sequence[float], uncompressed: bool, **others: Any
+    scene: Mapping[str, Any],
+    preset: str,
+    lambdas: Sequence[float],
+    uncompressed: bool,
+    static: bool = False,
+    **others: Any,
 ) -> Experiment:
     """The experiment of one scene at some lambda_r. Raises ExperimentError.
 
-    scene: keys of the table [[scenes]], and `voxel`, `anchors` and `background` as for train. others: keys of the file.
-    Values that are None or empty are left out.
+    scene: keys of the table [[scenes]], and `voxel`, `anchors`, `background` and `degree` as for train, as is static.
+    others: keys of the file. Values that are None or empty are left out.
     """
     table = {key: value for key, value in scene.items() if key not in _SETTINGS}
-    given = [f"{name}={scene[key]}" for key, name in _SETTINGS.items() if scene.get(key) is not None]
-    lines = [*_toml({"lambdas": lambdas, **others}), "[[scenes]]", *_toml({**table, "set": [*given, *scene["set"]]})]
-    lines += ["[[methods]]", *_toml({"name": CODED, "preset": preset})]
+    given = {name: scene[key] for key, name in _SETTINGS.items() if scene.get(key) is not None}
+    changes = [change for change in scene["set"] if change.partition("=")[0].strip() not in given]
+    changes = [*(f"{name}={value}" for name, value in given.items()), *changes]
+    lines = [*_toml({"lambdas": lambdas, **others}), "[[scenes]]", *_toml({**table, "set": changes})]
+    lines += ["[[methods]]", *_toml({"name": CODED, "preset": preset, "static": static})]
     if uncompressed:
         lines += ["[[methods]]", *_toml({"name": UNCOMPRESSED, "kind": UNCOMPRESSED, "preset": preset})]
     return parse_experiment(Path(f"{scene['name']}.toml"), ("\n".join(lines) + "\n").encode())

@@ -138,13 +138,17 @@ def test_errors(place: Path, call: Call, monkeypatch: pytest.MonkeyPatch) -> Non
 @pytest.mark.usefixtures("fake")
 def test_rd(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The options of train are in the experiment's file. A curve is compared with that of a table."""
-    out, given = tmp_path / "curve", "--background 9,20,30 --holdout 30 --anchors 700 --up=-z --set masks.epsilon=0.02"
+    out, given = (
+        tmp_path / "curve",
+        "--background 9,20,30 --holdout 30 --anchors 700 --up=-z --static --set masks.epsilon=0.02",
+    )
     command = ["rd", str(PHOTOGRAPHS), "-o", str(out), "--steps", "2", "--size", "40", *given.split(), "--lambdas"]
     assert main([*command, "0.04", "--uncompressed"]) == 0
     assert "| coded | 0.04 | 1 |" in capsys.readouterr().out
     experiment = read_experiment(out / "experiment.toml")
     (scene,) = experiment.scenes
     assert (scene.photographs, scene.size, scene.holdout, scene.up) == (str(PHOTOGRAPHS), "40", 30, "-z")
+    assert experiment.methods[0].static
     assert scene.changes == ("background=9,20,30", "start.anchors=700", "masks.epsilon=0.02")
     # More points: the others are not trained again.
     assert main([*command, "0.04", "0.01", "0.004", "0.002"]) == 0
