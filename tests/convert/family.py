@@ -99,7 +99,7 @@ class Model:
         distance = np.linalg.norm(away, axis=1, keepdims=True)
         n, k = self.count, self.layout.offsets
 
-        def said(name: str, far: bool, more: F64 | None = None) -> F64:
+        def output(name: str, far: bool, more: F64 | None = None) -> F64:
             parts = [self.feature.astype(np.float64), away / distance]
             parts += [distance] if far else []
             parts += [np.broadcast_to(more, (n, len(more)))] if more is not None else []
@@ -107,8 +107,8 @@ class Model:
                 return self.networks[name].double()(torch.from_numpy(np.concatenate(parts, axis=1))).numpy()
 
         far = self.layout.distance
-        opacity, covariance = said("opacity_mlp", far[0]), said("cov_mlp", far[1]).reshape(n, k, 7)
-        colour = said("color_mlp", far[2], code).reshape(n, k, 3)
+        opacity, covariance = output("opacity_mlp", far[0]), output("cov_mlp", far[1]).reshape(n, k, 7)
+        colour = output("color_mlp", far[2], code).reshape(n, k, 3)
         kept = opacity > 0
         if self.layout.masks:
             kept &= 1 / (1 + np.exp(-self.mask.astype(np.float64))) > 0.01
@@ -138,16 +138,16 @@ class Model:
         """The columns of point_cloud.ply, in the order of the file."""
         layout, n = self.layout, self.count
         zeros = np.zeros(n, np.float32)
-        found = dict(zip("xyz", self.anchor.T, strict=True)) | dict.fromkeys(("nx", "ny", "nz"), zeros)
+        columns = dict(zip("xyz", self.anchor.T, strict=True)) | dict.fromkeys(("nx", "ny", "nz"), zeros)
         # transpose(1, 2).flatten(start_dim=1): one axis after the other.
         offset = self.offset.transpose(0, 2, 1).reshape(n, 3 * layout.offsets)
-        found |= {f"f_offset_{i}": column for i, column in enumerate(offset.T)}
+        columns |= {f"f_offset_{i}": column for i, column in enumerate(offset.T)}
         if layout.masks:
-            found |= {f"f_mask_{i}": column for i, column in enumerate(self.mask.T)}
-        found |= {f"f_anchor_feat_{i}": column for i, column in enumerate(self.feature.T)}
-        found["opacity"] = zeros
-        found |= {f"scale_{i}": column for i, column in enumerate(self.scaling.T)}
-        return found | {f"rot_{i}": np.full(n, i == 0, np.float32) for i in range(4)}
+            columns |= {f"f_mask_{i}": column for i, column in enumerate(self.mask.T)}
+        columns |= {f"f_anchor_feat_{i}": column for i, column in enumerate(self.feature.T)}
+        columns["opacity"] = zeros
+        columns |= {f"scale_{i}": column for i, column in enumerate(self.scaling.T)}
+        return columns | {f"rot_{i}": np.full(n, i == 0, np.float32) for i in range(4)}
 
     def write(self, folder: Path, iteration: int = 30000) -> Path:
         """Writes the folder of the model. Returns that of its iteration."""
@@ -182,11 +182,11 @@ class Model:
 
     def state_dicts(self) -> dict[str, object]:
         """What the file of state dicts holds."""
-        found: dict[str, object] = {name: network.float().state_dict() for name, network in self.networks.items()}
+        states: dict[str, object] = {name: network.float().state_dict() for name, network in self.networks.items()}
         if self.embedding is not None:
-            found["appearance"] = self.embedding.state_dict()
+            states["appearance"] = self.embedding.state_dict()
         coding = nn.Sequential(nn.Linear(9, 4), nn.ReLU(), nn.Linear(4, 2)).state_dict()
-        return found | {name: {"params": torch.zeros(1000)} if "xyz" in name else coding for name in self.layout.more}
+        return states | {name: {"params": torch.zeros(1000)} if "xyz" in name else coding for name in self.layout.more}
 
     def _write_scripts(self, place: Path) -> None:
         with warnings.catch_warnings():

@@ -46,9 +46,13 @@ def scenes() -> dict[str, Scene]:
     render = replace(drawn.render, background=(10, 20, 30), distance_unit=3.5, up_axis=4, near_plane=0.5)
     stated = (Ancillary(CAMERAS, 0, emit_cameras([CAMERA])),)
     random = replace(drawn, render=render, ancillary=stated)
-    found = {"trained": trained, "random": random, "all offsets": replace(random, masks=np.ones_like(random.masks))}
+    plain = {
+        "trained": trained,
+        "random": random,
+        "all offsets": replace(random, masks=np.ones_like(random.masks)),
+    }
     # What a file holds: dropped offsets are 0.
-    return {name: codec.parse(codec.emit(scene)).scene for name, scene in found.items()}
+    return {name: codec.parse(codec.emit(scene)).scene for name, scene in plain.items()}
 
 
 def exported(scene: Scene, folder: Path) -> Path:
@@ -61,15 +65,15 @@ def exported(scene: Scene, folder: Path) -> Path:
 @pytest.mark.parametrize("name", ["trained", "random", "all offsets"])
 def test_the_scene_comes_back(name: str, tmp_path: Path) -> None:
     scene = scenes()[name]
-    found = read_checkpoint(exported(scene, tmp_path)).scene
+    restored = read_checkpoint(exported(scene, tmp_path)).scene
     values = reconstruct(scene)
-    np.testing.assert_array_equal(found.masks, scene.masks)
+    np.testing.assert_array_equal(restored.masks, scene.masks)
     for kind in ("positions", "features", "scalings", "offsets"):
-        np.testing.assert_array_equal(getattr(found.values, kind), getattr(values, kind), err_msg=kind)
-    assert found.render == scene.render
-    assert found.cameras == tuple(cameras(scene.ancillary))
+        np.testing.assert_array_equal(getattr(restored.values, kind), getattr(values, kind), err_msg=kind)
+    assert restored.render == scene.render
+    assert restored.cameras == tuple(cameras(scene.ancillary))
     for network in RENDERING:
-        for own, stored in zip(found.networks[network], scene.networks[network], strict=True):
+        for own, stored in zip(restored.networks[network], scene.networks[network], strict=True):
             for a, b in zip(own, stored, strict=True):
                 # A division and a multiplication are undone for weights on grids alone.
                 np.testing.assert_allclose(a, b, rtol=0 if name == "trained" else 2.0**-20)

@@ -33,14 +33,14 @@ def camera_at(centre: tuple[float, ...]) -> Camera:
 def assert_draws(scene: Uncompressed, model: Model, code: np.ndarray | None) -> None:
     """The scene's Gaussians are those of the model's program, in float64."""
     for centre in CENTRES:
-        found = gaussians(
+        drawn = gaussians(
             scene.values, scene.masks, scene.networks, camera_at(centre), scene.render.distance_unit, float
         )
         wanted = model.gaussians(np.array(centre), code)
         assert len(wanted["mean"]) > 20
         for name, values in wanted.items():
             # Folded biases are rounded to float32.
-            np.testing.assert_allclose(getattr(found, name), values, rtol=2e-5, atol=2e-6, err_msg=name)
+            np.testing.assert_allclose(getattr(drawn, name), values, rtol=2e-5, atol=2e-6, err_msg=name)
 
 
 @pytest.mark.parametrize("name", LAYOUTS)
@@ -77,9 +77,9 @@ def test_other_dimensions(layout: Layout, tmp_path: Path) -> None:
     # Of one hidden unit the opacity could be negative everywhere.
     model.networks["opacity_mlp"][2].bias.data += 1
     model.write(tmp_path)
-    found = read_checkpoint(tmp_path)
-    assert_draws(found.scene, model, model.code(None))
-    assert found.appearances == (3 if layout.appearance else 0)
+    converted = read_checkpoint(tmp_path)
+    assert_draws(converted.scene, model, model.code(None))
+    assert converted.appearances == (3 if layout.appearance else 0)
 
 
 def test_the_appearance_of_a_camera(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -88,9 +88,9 @@ def test_the_appearance_of_a_camera(tmp_path: Path, capsys: pytest.CaptureFixtur
         model.write(folder)
         words = ["convert", str(folder), "-o", str(tmp_path / f"scene{number}")]
         assert main(words) == 0
-        said = capsys.readouterr()
-        assert "an appearance for each of 3 cameras" in said.err
-        assert "next: refcodec encode" in said.out
+        printed = capsys.readouterr()
+        assert "an appearance for each of 3 cameras" in printed.err
+        assert "next: refcodec encode" in printed.out
         assert main([*words, "--appearance", "1"]) == 0
         assert capsys.readouterr().err == ""
         assert_draws(read_uncompressed(tmp_path / f"scene{number}"), model, model.code(1))
@@ -104,9 +104,9 @@ def test_networks_of_other_widths_get_one(tmp_path: Path) -> None:
     wider = torch.nn.Sequential(torch.nn.Linear(54, 60), torch.nn.ReLU(), torch.nn.Linear(60, 30), torch.nn.Sigmoid())
     model.networks["color_mlp"] = wider
     model.write(tmp_path)
-    found = read_checkpoint(tmp_path)
-    assert {len(layers[0][1]) for layers in found.scene.networks.values()} == {60}
-    assert_draws(found.scene, model, None)
+    converted = read_checkpoint(tmp_path)
+    assert {len(layers[0][1]) for layers in converted.scene.networks.values()} == {60}
+    assert_draws(converted.scene, model, None)
 
 
 def test_the_last_iteration_or_the_one_that_is_named(tmp_path: Path) -> None:
@@ -168,25 +168,25 @@ def test_a_model_becomes_a_file(name: str, tmp_path: Path) -> None:
             continue
         networks = {name: coded.networks[name] for name in ("opacity", "covariance", "colour")}
         for centre in CENTRES:
-            found = gaussians(values, coded.masks, networks, camera_at(centre), coded.render.distance_unit)
+            drawn = gaussians(values, coded.masks, networks, camera_at(centre), coded.render.distance_unit)
             wanted = model.gaussians(np.array(centre), model.code(1) if words else None)
             place = {pair: i for i, pair in enumerate(zip(wanted["anchor"], wanted["offset"], strict=True))}
-            named = zip(number[found.anchor], found.offset, strict=True)
+            named = zip(number[drawn.anchor], drawn.offset, strict=True)
             pairs = [(i, place[pair]) for i, pair in enumerate(named) if pair in place]
             # Those whose opacity is nearly 0 may come and go.
-            assert len(pairs) > 0.98 * max(len(wanted["mean"]), len(found.mean))
+            assert len(pairs) > 0.98 * max(len(wanted["mean"]), len(drawn.mean))
             own, other = np.array(pairs).T
-            errors = [getattr(found, kind)[own] - wanted[kind][other] for kind in ("opacity", "colour", "mean")]
-            errors.append(np.log(found.lengths[own]) - np.log(wanted["lengths"][other]))
+            errors = [getattr(drawn, kind)[own] - wanted[kind][other] for kind in ("opacity", "colour", "mean")]
+            errors.append(np.log(drawn.lengths[own]) - np.log(wanted["lengths"][other]))
             assert max(np.sqrt((error**2).mean()) for error in errors) < 0.02
 
 
 def test_scenes_of_more_than_the_format_holds(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     wide = replace(LAYOUTS["hac"], features=130)
-    for number, (layout, said) in enumerate([(wide, "130 features"), (Layout("split", offsets=17), "17 offsets")]):
+    for number, (layout, reason) in enumerate([(wide, "130 features"), (Layout("split", offsets=17), "17 offsets")]):
         Model(layout).write(tmp_path / str(number))
         assert main(["convert", str(tmp_path / str(number)), "-o", str(tmp_path / "scene")]) == 64
         err = capsys.readouterr().err
         assert err.count("\n") == 1
-        assert said in err
+        assert reason in err
         assert "SPEC.md 11.1" in err

@@ -65,10 +65,10 @@ def test_no_two_positions_are_equal() -> None:
     splats.mean[100:] = splats.mean[:100]
     table = numbers(splats)
     n = len(table)
-    found = coded(Measured(splats.mean, table, np.ones((n, 3)), np.ones(table.shape), np.ones(n)), 1e-3)
-    assert len(np.unique(found.positions, axis=0)) == n
-    unit = found.grid.scale_mantissa * 2.0**found.grid.scale_exponent
-    assert np.abs(found.positions - splats.mean).max() < 4 * unit
+    scene = coded(Measured(splats.mean, table, np.ones((n, 3)), np.ones(table.shape), np.ones(n)), 1e-3)
+    assert len(np.unique(scene.positions, axis=0)) == n
+    unit = scene.grid.scale_mantissa * 2.0**scene.grid.scale_exponent
+    assert np.abs(scene.positions - splats.mean).max() < 4 * unit
 
 
 @pytest.mark.parametrize("degree", [0, 3])
@@ -76,10 +76,10 @@ def test_a_scene_is_as_good_as_wanted(degree: int) -> None:
     splats = made(400, degree)
     cameras = orbit(splats, AXES["-y"], 48, 8, 2)
     render = RenderInfo(near_plane=near_plane(splats))
-    found = converted(splats, cameras, render, 1, 40, 20)
-    assert found.whole
-    assert abs(found.psnr - 40) < 1
-    scene = found.scene
+    result = converted(splats, cameras, render, 1, 40, 20)
+    assert result.whole
+    assert abs(result.psnr - 40) < 1
+    scene = result.scene
     assert scene.position_model is not None
     assert chunk_codes(scene.positions, scene.position_model.cell_shift) is not None
     assert gaussians(scene, reconstruct(scene)).shape == (scene.anchor_count, 11 + 3 * (degree + 1) ** 2)
@@ -88,7 +88,7 @@ def test_a_scene_is_as_good_as_wanted(degree: int) -> None:
     for camera in cameras["test"]:
         truth, _, _ = drawn(tensors(splats), camera, Settings(near_plane=render.near_plane))
         errors.append(np.square(View(scene).draw(camera).clip(0, 1) - truth.clamp(0, 1).numpy()).mean())
-    assert abs(np.mean(-10 * np.log10(errors)) - found.psnr) < 0.1
+    assert abs(np.mean(-10 * np.log10(errors)) - result.psnr) < 0.1
 
 
 def test_convert_fast(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

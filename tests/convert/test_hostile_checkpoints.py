@@ -301,9 +301,9 @@ def test_state_dicts(change: Callable[[dict[str, Any]], Any], reason: str, tmp_p
 def test_other_floats(kind: Any, tmp_path: Path) -> None:
     values = torch.linspace(-3, 3, 30, dtype=torch.float32).reshape(5, 6)
     torch.save({"cov_mlp": {"0.weight": values.to(kind), "empty": values[:0]}}, tmp_path / "a.pth")
-    found = read_state_dicts(tmp_path / "a.pth", ("cov_mlp",))["cov_mlp"]
-    assert np.array_equal(found["0.weight"], values.to(kind).float().numpy())
-    assert found["empty"].shape == (0, 6)
+    tensors = read_state_dicts(tmp_path / "a.pth", ("cov_mlp",))["cov_mlp"]
+    assert np.array_equal(tensors["0.weight"], values.to(kind).float().numpy())
+    assert tensors["empty"].shape == (0, 6)
 
 
 def ply(*lines: str) -> bytes:

@@ -41,8 +41,8 @@ def given(layout: str, folder: Path, count: int = 500) -> Given:
     return Given(cloud, plain.voxel, None, plain.networks, plain.render, plain.cameras)
 
 
-def fitted(found: Given, rate: float) -> Scene:
-    return fit(found, FitSettings(steps=0, lambda_r=rate)).scene
+def fitted(source: Given, rate: float) -> Scene:
+    return fit(source, FitSettings(steps=0, lambda_r=rate)).scene
 
 
 def bits(scene: Scene, name: str) -> int:
@@ -53,11 +53,11 @@ def bits(scene: Scene, name: str) -> int:
 
 @pytest.mark.parametrize("layout", ["hac", "scaffold, plain"])
 def test_coarser_features_allow_coarser_grids(layout: str, tmp_path: Path) -> None:
-    found = given(layout, tmp_path)
+    source = given(layout, tmp_path)
     sizes, before = [], None
     for rate in (0.0001, 0.004, 0.1):
-        scene = fitted(found, rate)
-        coarse = on_grids(scene, found.cloud)
+        scene = fitted(source, rate)
+        coarse = on_grids(scene, source.cloud)
         assert all(to_grid(layer) for name in RENDERING for layer in coarse.networks[name])
         lengths = [len(emit(packed(each, None, None))) for each in (scene, coarse)]
         weights = sum(4 * (w.size + b.size) for name in RENDERING for w, b in scene.networks[name])
@@ -68,15 +68,15 @@ def test_coarser_features_allow_coarser_grids(layout: str, tmp_path: Path) -> No
     assert sizes[0] > sizes[1] > sizes[2]
     # What is on a grid stays.
     assert before is not None
-    again = on_grids(before, found.cloud)
+    again = on_grids(before, source.cloud)
     assert all(again.networks[name] is before.networks[name] for name in RENDERING)
 
 
 def test_grids_change_less_than_rounded_features(tmp_path: Path) -> None:
     """From a camera that did not judge."""
-    found = given("hac", tmp_path)
-    scene = fitted(found, 0.004)
-    coarse = on_grids(scene, found.cloud)
+    source = given("hac", tmp_path)
+    scene = fitted(source, 0.004)
+    coarse = on_grids(scene, source.cloud)
     values, camera = reconstruct(scene), Camera("", 8, 8, 8, 8, 4, 4, np.eye(3), np.array([3.0, -1.0, 14.0]))
 
     def opacities(features: np.ndarray, networks: dict) -> np.ndarray:
@@ -86,9 +86,9 @@ def test_grids_change_less_than_rounded_features(tmp_path: Path) -> None:
         return dense
 
     # The model's anchors have places of their own, by which they are found.
-    rows = np.lexsort(found.cloud.positions[found.cloud.masks.any(axis=1)].T)
+    rows = np.lexsort(source.cloud.positions[source.cloud.masks.any(axis=1)].T)
     own = np.empty_like(values.features)
-    own[np.lexsort(values.positions.T)] = found.cloud.features[found.cloud.masks.any(axis=1)][rows]
+    own[np.lexsort(values.positions.T)] = source.cloud.features[source.cloud.masks.any(axis=1)][rows]
     true, rounded, both = (
         opacities(own, scene.networks),
         opacities(values.features, scene.networks),
@@ -99,9 +99,9 @@ def test_grids_change_less_than_rounded_features(tmp_path: Path) -> None:
 
 def test_exact_features_keep_exact_networks(tmp_path: Path) -> None:
     """Where rounding changes nothing, a grid may change nothing."""
-    found = given("hac", tmp_path)
-    scene = fitted(found, 0.004)
-    cloud = replace(found.cloud, features=np.zeros_like(found.cloud.features))
+    source = given("hac", tmp_path)
+    scene = fitted(source, 0.004)
+    cloud = replace(source.cloud, features=np.zeros_like(source.cloud.features))
     zeros = replace(scene.attributes, features=np.zeros_like(scene.attributes.features))
     exact = replace(scene, attributes=zeros)
     same = on_grids(exact, cloud)
@@ -109,10 +109,10 @@ def test_exact_features_keep_exact_networks(tmp_path: Path) -> None:
 
 
 def test_what_is_on_a_grid_and_what_is_empty(tmp_path: Path) -> None:
-    found = given("hac", tmp_path)
-    scene = fitted(found, 0.004)
+    source = given("hac", tmp_path)
+    scene = fitted(source, 0.004)
     gridded = replace(scene, networks=quantise_rendering(scene.networks, 12))
-    assert on_grids(gridded, found.cloud).networks["colour"] is gridded.networks["colour"]
-    none = replace(found, cloud=replace(found.cloud, masks=np.zeros_like(found.cloud.masks)))
+    assert on_grids(gridded, source.cloud).networks["colour"] is gridded.networks["colour"]
+    none = replace(source, cloud=replace(source.cloud, masks=np.zeros_like(source.cloud.masks)))
     empty = fit(none, FitSettings(steps=0)).scene
     assert on_grids(empty, none.cloud) is empty

@@ -43,9 +43,9 @@ def view() -> View:
 @pytest.fixture(scope="module")
 def cameras(view: View) -> list[Camera]:
     """Some cameras around the scene, which see it."""
-    found = [camera.resized(48, 36) for camera in views_of(view, []).fit[::6]]
-    assert decibels([view.draw(camera) for camera in found], [np.zeros((36, 48, 3))] * len(found)) < BLACK
-    return found
+    cameras = [camera.resized(48, 36) for camera in views_of(view, []).fit[::6]]
+    assert decibels([view.draw(camera) for camera in cameras], [np.zeros((36, 48, 3))] * len(cameras)) < BLACK
+    return cameras
 
 
 def decibels(first: list[np.ndarray], second: list[np.ndarray]) -> float:
@@ -54,8 +54,8 @@ def decibels(first: list[np.ndarray], second: list[np.ndarray]) -> float:
     return float(np.mean([-10 * math.log10(error) if error else math.inf for error in errors]))
 
 
-def assert_near(found: View, view: View, cameras: list[Camera], least: float) -> None:
-    assert decibels([found.draw(c) for c in cameras], [view.draw(c) for c in cameras]) >= least
+def assert_near(shown: View, view: View, cameras: list[Camera], least: float) -> None:
+    assert decibels([shown.draw(c) for c in cameras], [view.draw(c) for c in cameras]) >= least
 
 
 @pytest.mark.slow
@@ -81,5 +81,5 @@ def test_a_splat_becomes_a_scene(view: View, cameras: list[Camera], tmp_path: Pa
     words = ["--views", "24", "--size", "64", "--steps", "200", "--anchors", "1500"]
     assert main(["convert", str(tmp_path / "a.glb"), "-o", str(tmp_path / "scene"), *words]) == 0
     assert main(["encode", str(tmp_path / "scene"), "-o", str(tmp_path / "a.c3gs")]) == 0
-    found = View(parse((tmp_path / "a.c3gs").read_bytes()).scene)
-    assert_near(found, view, cameras, TRAINING)
+    shown = View(parse((tmp_path / "a.c3gs").read_bytes()).scene)
+    assert_near(shown, view, cameras, TRAINING)

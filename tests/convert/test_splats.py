@@ -37,17 +37,17 @@ def test_pictures_show_the_splats(tmp_path: Path) -> None:
     given, splats = made(), tensors(made())
     views = orbit(given, AXES["-y"], 40, 6, 2)
     write_photographs(given, views, tmp_path / "pictures", silent, (9, 99, 0))
-    found = read_photographs(tmp_path / "pictures")
-    assert (len(found.train), len(found.test)) == (6, 2)
-    assert not found.random
+    photographs = read_photographs(tmp_path / "pictures")
+    assert (len(photographs.train), len(photographs.test)) == (6, 2)
+    assert not photographs.random
     seen = splats["mean"][splats["opacity"].sigmoid() >= 0.1]
-    assert np.array_equal(np.sort(found.points, axis=0), np.sort(seen.double().numpy(), axis=0))
-    for photograph in (*found.train, *found.test):
+    assert np.array_equal(np.sort(photographs.points, axis=0), np.sort(seen.double().numpy(), axis=0))
+    for photograph in (*photographs.train, *photographs.test):
         image, _, _ = drawn(splats, photograph.camera, Settings(near_plane=0.01, background=(9 / 255, 99 / 255, 0)))
         assert np.abs(image.clamp(0, 1).numpy() * 255 - photograph.image).max() < 0.51
         assert photograph.image[:, :, 2].max() > 50
     # Up in the images is -y in the world.
-    assert np.mean([p.camera.rotation[1] for p in found.train], axis=0).argmax() == 1
+    assert np.mean([p.camera.rotation[1] for p in photographs.train], axis=0).argmax() == 1
 
 
 @pytest.mark.parametrize("up", [(0, 0, -1), (0.6, 0, 0.8), (1, 1, 1)])
@@ -66,13 +66,13 @@ def test_up_is_any_direction(up: tuple[float, ...]) -> None:
 def test_given_cameras_are_spread(tmp_path: Path) -> None:
     turn = np.eye(3)
     cameras = [Camera(f"c{i}", 400, 200, 300, 310, 200, 100, turn, np.array([0, 0, i + 3.0])) for i in range(100)]
-    found = chosen(cameras, 16, 100)
-    assert [len(found[name]) for name in ("train", "test")] == [14, 2]
-    assert found["train"][0].translation[2] == 3
-    assert found["test"][-1].translation[2] == 102
-    assert {(c.width, c.height, c.fx, c.cy) for c in found["train"]} == {(100, 50, 75, 25)}
+    views = chosen(cameras, 16, 100)
+    assert [len(views[name]) for name in ("train", "test")] == [14, 2]
+    assert views["train"][0].translation[2] == 3
+    assert views["test"][-1].translation[2] == 102
+    assert {(c.width, c.height, c.fx, c.cy) for c in views["train"]} == {(100, 50, 75, 25)}
     # One camera is to learn from.
-    assert [len(found) for found in chosen(cameras[:1], 16, None).values()] == [1, 0]
+    assert [len(views) for views in chosen(cameras[:1], 16, None).values()] == [1, 0]
 
 
 @pytest.mark.slow
@@ -166,7 +166,7 @@ def test_the_cameras_of_a_model(tmp_path: Path, capsys: Captured) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "reason"),
     [
         (("a.ply", "--appearance", "1"), "--appearance applies only to model folders"),
         (("model", "--views", "5"), "--views applies only to splat files"),
@@ -192,7 +192,7 @@ def test_the_cameras_of_a_model(tmp_path: Path, capsys: Captured) -> None:
     ],
 )
 def test_wrong_use(
-    words: tuple[str, ...], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Captured
+    words: tuple[str, ...], reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Captured
 ) -> None:
     write(made(50, 0), tmp_path / "a.ply")
     for name in ("a.spz", "a.glb", "a.splat"):
@@ -206,5 +206,5 @@ def test_wrong_use(
     assert main(["convert", *words, "-o", "scene"]) == 64
     err = capsys.readouterr().err
     assert err.count("\n") == 1, err
-    assert said in err
+    assert reason in err
     assert sorted(tmp_path.rglob("*")) == before

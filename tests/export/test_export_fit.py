@@ -41,8 +41,8 @@ def trained() -> View:
 
 def around(view: View, count: int, side: int = 64) -> list[Camera]:
     """A few small views."""
-    found = views_of(view, [view.camera]).fit
-    return [camera.resized(side, 3 * side // 4) for camera in found[:: len(found) // count][:count]]
+    cameras = views_of(view, [view.camera]).fit
+    return [camera.resized(side, 3 * side // 4) for camera in cameras[:: len(cameras) // count][:count]]
 
 
 def unmoved() -> View:
@@ -63,25 +63,25 @@ def test_a_scene_that_is_the_same_from_everywhere(degree: int, iterations: int) 
     views = around(view, 8)
     fitted = fit(view, views, degree, iterations, quiet)
     splats = fitted.splats
-    found = gaussians(view.values, view.masks, view.networks, views[0], view.info.distance_unit)
+    drawn = gaussians(view.values, view.masks, view.networks, views[0], view.info.distance_unit)
     # Those that are seen are among those of the scene, in their order.
-    where = {tuple(mean): i for i, mean in enumerate(found.mean)}
+    where = {tuple(mean): i for i, mean in enumerate(drawn.mean)}
     at = [where[tuple(mean)] for mean in splats.mean]
     # An offset of zero may come twice.
-    _, first, times = np.unique(found.mean, axis=0, return_index=True, return_counts=True)
+    _, first, times = np.unique(drawn.mean, axis=0, return_index=True, return_counts=True)
     alone = np.isin(at, first[times == 1])
     assert alone.sum() > 0.8 * len(at)
     assert (np.diff(np.array(at)[alone]) > 0).all()
     assert 0.7 * fitted.of < len(at) < fitted.of
-    np.testing.assert_allclose(opacities(splats)[alone], found.opacity[at][alone], atol=1e-5)
-    spread = rotation_matrix(found.quaternion[at].astype(np.float64)) * found.lengths[at][:, None, :]
+    np.testing.assert_allclose(opacities(splats)[alone], drawn.opacity[at][alone], atol=1e-5)
+    spread = rotation_matrix(drawn.quaternion[at].astype(np.float64)) * drawn.lengths[at][:, None, :]
     mine = rotation_matrix(splats.unit_quaternions()) * np.exp(splats.scale)[:, None, :]
     wanted = spread @ spread.transpose(0, 2, 1)
     error = np.abs(mine @ mine.transpose(0, 2, 1) - wanted).max(axis=(1, 2))
     assert (error <= 1e-4 * np.abs(wanted).max(axis=(1, 2)))[alone].all()
     if not iterations:
         colour = splats.base * 0.28209479 + 0.5
-        np.testing.assert_allclose(colour[alone], found.colour[at][alone], atol=1e-4)
+        np.testing.assert_allclose(colour[alone], drawn.colour[at][alone], atol=1e-4)
         assert np.abs(splats.rest).max(initial=0) < 1e-3
     # What no view sees by a tenth of a pixel is not missed.
     assert agreement(view, splats, views, quiet) > 50
@@ -144,10 +144,10 @@ def test_groups_do_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_progress_is_told() -> None:
     view = trained()
-    told: dict[str, list[tuple[int, int]]] = {}
-    fit(view, around(view, 3), 0, 2, lambda stage, done, total: told.setdefault(stage, []).append((done, total)))
-    assert list(told) == ["views", "regression", "images"]
-    for steps in told.values():
+    calls: dict[str, list[tuple[int, int]]] = {}
+    fit(view, around(view, 3), 0, 2, lambda stage, done, total: calls.setdefault(stage, []).append((done, total)))
+    assert list(calls) == ["views", "regression", "images"]
+    for steps in calls.values():
         assert [done for done, _ in steps] == sorted(done for done, _ in steps)
         assert steps[-1][0] == steps[-1][1]
 

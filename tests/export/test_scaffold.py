@@ -57,14 +57,14 @@ def scaffold_gaussians(model: Path, arguments: Namespace, centre: Any, modules: 
     chosen = opacity > 0
     scaling = scaling.repeat_interleave(k, dim=0)
     mean = anchor.repeat_interleave(k, dim=0) + offset.reshape(-1, 3) * scaling[:, :3]
-    found = {
+    parts = {
         "mean": mean,
         "lengths": scaling[:, 3:] * torch.sigmoid(covariance[:, :3]),
         "quaternion": torch.nn.functional.normalize(covariance[:, 3:]),
         "opacity": opacity,
         "colour": colour,
     }
-    return {name: values[chosen].numpy() for name, values in found.items()}
+    return {name: values[chosen].numpy() for name, values in parts.items()}
 
 
 def united(arguments: Namespace, states: dict[str, Any]) -> list[Any]:
@@ -115,9 +115,9 @@ def test_it_draws_the_same(name: str, tmp_path: Path, capsys: pytest.CaptureFixt
     unit = scene.render.distance_unit
     wanted = gaussians(values, scene.masks, scene.networks, camera, unit, np.float64)
     for modules in (split, united(arguments, states)):
-        found = scaffold_gaussians(model, arguments, camera.centre, modules)
+        drawn = scaffold_gaussians(model, arguments, camera.centre, modules)
         for kind in ("mean", "lengths", "quaternion", "opacity", "colour"):
-            np.testing.assert_allclose(found[kind], getattr(wanted, kind), rtol=1e-4, atol=1e-5, err_msg=kind)
+            np.testing.assert_allclose(drawn[kind], getattr(wanted, kind), rtol=1e-4, atol=1e-5, err_msg=kind)
     assert len(wanted.mean) > 10
 
 

@@ -58,9 +58,9 @@ def test_another_scene_has_no_plain_gaussians() -> None:
 def test_ply_is_exact(name: str) -> None:
     """The decoded Gaussians come back from the file with their bits."""
     splats = static_splats(scene_of(name))
-    found = FORMATS[".ply"].read(write_splats(splats, ".ply"))
+    restored = FORMATS[".ply"].read(write_splats(splats, ".ply"))
     for kind, values in vars(splats).items():
-        np.testing.assert_array_equal(getattr(found, kind).view(np.uint32), values.view(np.uint32), kind)
+        np.testing.assert_array_equal(getattr(restored, kind).view(np.uint32), values.view(np.uint32), kind)
 
 
 @pytest.mark.parametrize("name", ["static-degree-0", "static-degree-3", "static-packed", "static-turned"])
@@ -91,8 +91,8 @@ def test_decode_splat(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     for output, (suffix, row) in zip(outputs, FORMATS.items(), strict=True):
         assert output.read_bytes() == write_splats(refcodec.gaussians(file), suffix, Options(refcodec.decode(file).up))
         assert row.kind.begins.match(output.read_bytes())
-    found, wanted = FORMATS[".ply"].read(outputs[0].read_bytes()), refcodec.gaussians(file)
-    assert all(np.array_equal(values, getattr(found, kind)) for kind, values in vars(wanted).items())
+    restored, wanted = FORMATS[".ply"].read(outputs[0].read_bytes()), refcodec.gaussians(file)
+    assert all(np.array_equal(values, getattr(restored, kind)) for kind, values in vars(wanted).items())
     other = str(VALID / "trained-caliterra.c3gs")
     assert main(["decode", other, "--splat", str(tmp_path / "b.ply")]) == 64
     assert "refcodec export" in capsys.readouterr().err

@@ -36,15 +36,15 @@ KEEP_ORDER = (".ply", ".glb", ".spz")
 Steps = dict[str, Any]
 
 
-def assert_near(found: Splats, wanted: Splats, steps: Steps) -> None:
+def assert_near(restored: Splats, wanted: Splats, steps: Steps) -> None:
     """Both are the same Gaussians, up to half a step of each array, and of rotations as matrices."""
     for name, step in steps.items():
-        pair: list[Any] = [getattr(each, name).astype(np.float64) for each in (found, wanted)]
+        pair: list[Any] = [getattr(each, name).astype(np.float64) for each in (restored, wanted)]
         if name == "opacity":
-            pair = [packing.opacities(each) for each in (found, wanted)]
+            pair = [packing.opacities(each) for each in (restored, wanted)]
         if name == "quaternion":
             # The axes are the same for both signs of a quaternion, and for both directions of an axis.
-            turns = [rotation_matrix(each.unit_quaternions()) for each in (found, wanted)]
+            turns = [rotation_matrix(each.unit_quaternions()) for each in (restored, wanted)]
             pair = [turn * (1, 2, 3) @ turn.transpose(0, 2, 1) for turn in turns]
         assert pair[0].shape == pair[1].shape, name
         error = np.abs(pair[0] - pair[1])
@@ -95,11 +95,11 @@ def held(suffix: str, splats: Splats, options: Options, data: bytes) -> tuple[Sp
 def assert_comes_back(suffix: str, splats: Splats, options: Options) -> None:
     """A file is read as what it can hold. The same Gaussians give the same bytes, which the output checks know."""
     data = write_splats(splats, suffix, options)
-    found = FORMATS[suffix].read(data)
+    restored = FORMATS[suffix].read(data)
     wanted, steps = held(suffix, splats, options, data)
-    assert_near(found, wanted, steps)
+    assert_near(restored, wanted, steps)
     for name in (*vars(splats),) if suffix == ".ply" else ("mean", "base", "rest") if suffix == ".glb" else ():
-        assert np.array_equal(getattr(found, name).view("u4"), getattr(wanted, name).view("u4")), name
+        assert np.array_equal(getattr(restored, name).view("u4"), getattr(wanted, name).view("u4")), name
     assert write_splats(splats, suffix, options) == data
     assert FORMATS[suffix].kind.begins.match(data[:4096])
     read_up = FORMATS[suffix].read_up
@@ -159,8 +159,8 @@ def test_several_chunks(degree: int) -> None:
     """Chunks of a compressed PLY file have ranges of their own, which are smaller than those of all Gaussians."""
     splats = made(600, degree)
     assert_comes_back(".compressed.ply", splats, Options())
-    found = FORMATS[".compressed.ply"].read(write_splats(splats, ".compressed.ply"))
-    errors = np.abs(found.mean - splats.mean[packing.along_curve(splats.mean)])
+    restored = FORMATS[".compressed.ply"].read(write_splats(splats, ".compressed.ply"))
+    errors = np.abs(restored.mean - splats.mean[packing.along_curve(splats.mean)])
     assert np.sqrt((errors**2).mean()) < 0.2 * np.ptp(splats.mean) / 1023
 
 
@@ -175,8 +175,8 @@ def test_a_palette_is_shared() -> None:
     assert int(match[1]) <= 4096
     errors = [np.abs(kinds - rest).max(axis=(1, 2)).min() for rest in FORMATS[".sog"].read(data).rest]
     assert max(errors) < 0.02
-    found, wanted = (each.base for each in (FORMATS[".sog"].read(data), splats))
-    assert np.abs(np.sort(found, axis=0) - np.sort(wanted, axis=0)).mean() < 0.01
+    restored, wanted = (each.base for each in (FORMATS[".sog"].read(data), splats))
+    assert np.abs(np.sort(restored, axis=0) - np.sort(wanted, axis=0)).mean() < 0.01
 
 
 def test_what_a_format_does_not_hold() -> None:
@@ -217,20 +217,20 @@ def test_files_of_other_programs(name: str) -> None:
     if name == "playbot-splat-transform.spz":
         pytest.importorskip("zstandard", reason="version 4")
     signs, degree, steps, up = FILES[name]
-    found, source = read_splats(FOREIGN / name), read_splats(FOREIGN / "playbot.ply")
+    restored, source = read_splats(FOREIGN / name), read_splats(FOREIGN / "playbot.ply")
     turn = np.array([1, *signs], "f4")
     wanted = replace(source, mean=source.mean * turn[1:], quaternion=source.quaternion * turn)
-    order = [int(np.abs(found.mean - mean).sum(axis=1).argmin()) for mean in wanted.mean]
+    order = [int(np.abs(restored.mean - mean).sum(axis=1).argmin()) for mean in wanted.mean]
     assert sorted(order) == list(range(40))
-    found = rows_of(found, np.array(order))
-    assert found.degree == degree
-    assert_near(found, wanted, steps)
+    restored = rows_of(restored, np.array(order))
+    assert restored.degree == degree
+    assert_near(restored, wanted, steps)
     # A colour from a direction is that of the source from the direction before the turn.
     direction = np.array([0.6, -0.48, 0.64])
     rest = source.rest[:, : REST[degree]]
     colours = [
         np.einsum("k,nkc->nc", np.array(rest_harmonics(seen, degree)), values)
-        for seen, values in ((direction * signs, found.rest), (direction, rest))
+        for seen, values in ((direction * signs, restored.rest), (direction, rest))
     ]
     assert np.abs(colours[0] - colours[1]).max() < (0.08 if suffix_of(name) not in (".ply", ".glb") else 1e-6)
     assert np.ptp(colours[1]) > 0.3
@@ -239,8 +239,8 @@ def test_files_of_other_programs(name: str) -> None:
 
 def test_a_compressed_file_of_supersplat() -> None:
     """It is what splat-transform reads of it."""
-    found, wanted = (read_splats(FOREIGN / f"guitar{suffix}") for suffix in (".compressed.ply", ".ply"))
-    assert_near(found, wanted, dict.fromkeys(vars(found), 0))
+    restored, wanted = (read_splats(FOREIGN / f"guitar{suffix}") for suffix in (".compressed.ply", ".ply"))
+    assert_near(restored, wanted, dict.fromkeys(vars(restored), 0))
 
 
 @pytest.mark.parametrize("version", [1, 2])
@@ -255,10 +255,10 @@ def test_earlier_versions_of_spz(version: int, tmp_path: Path) -> None:
         fixed = (splats.mean * np.array([1, -1, -1], "f4")).astype("<f2").tobytes()
     head = struct.pack("<4sI", b"NGSP", version) + body[8:16]
     (tmp_path / "a.spz").write_bytes(gzip.compress(head + fixed + others + rotation + harmonics))
-    found, steps = read_splats(tmp_path / "a.spz"), {"mean": 2.0**-8, "base": 0.03, "rest": 1 / 64, "scale": 1 / 16}
-    assert_near(found, splats, steps | {"opacity": 1 / 255})
+    restored, steps = read_splats(tmp_path / "a.spz"), {"mean": 2.0**-8, "base": 0.03, "rest": 1 / 64, "scale": 1 / 16}
+    assert_near(restored, splats, steps | {"opacity": 1 / 255})
     # Where w is left out, its error is that of the others over it.
-    turns = [rotation_matrix(each.unit_quaternions()) for each in (found, splats)]
+    turns = [rotation_matrix(each.unit_quaternions()) for each in (restored, splats)]
     assert np.abs(turns[0] - turns[1]).mean() < 0.02
 
 
@@ -317,9 +317,9 @@ def test_splat_transform_reads_it(suffix: str, degree: int, tmp_path: Path) -> N
     data = write_splats(made(2500, degree), suffix)
     (tmp_path / f"a{suffix}").write_bytes(data)
     convert(tmp_path / f"a{suffix}", tmp_path / "b.ply")
-    found, wanted = from_plyfile(tmp_path / "b.ply"), as_read(FORMATS[suffix].read(data), suffix)
+    restored, wanted = from_plyfile(tmp_path / "b.ply"), as_read(FORMATS[suffix].read(data), suffix)
     if suffix != ".ply":
         # This reader takes bytes of 0 and 255 for a bit more and less.
         most = packing.logits(np.ones(1), packing.BYTE_OPACITY_LEAST).astype("f4")[0]
-        found = replace(found, opacity=found.opacity.clip(-most, most))
-    assert_near(found, wanted, dict.fromkeys(vars(found), 4e-6) | {"opacity": 2e-5, "quaternion": 2e-5})
+        restored = replace(restored, opacity=restored.opacity.clip(-most, most))
+    assert_near(restored, wanted, dict.fromkeys(vars(restored), 4e-6) | {"opacity": 2e-5, "quaternion": 2e-5})

@@ -53,9 +53,9 @@ def test_colours_and_their_gradients(degree: int) -> None:
     base, rest, mean = (value.detach().numpy() for value in inputs)
     basis = harmonics(mean, centre.numpy(), degree)
     wanted = 0.5 + np.einsum("nk,nkc->nc", basis, np.concatenate([base[:, None], rest], axis=1))
-    found = colours(*inputs, centre, degree).detach().numpy()
-    np.testing.assert_allclose(found, np.maximum(wanted, 0), atol=1e-12)
-    assert (found == 0).any() == (wanted < 0).any()
+    restored = colours(*inputs, centre, degree).detach().numpy()
+    np.testing.assert_allclose(restored, np.maximum(wanted, 0), atol=1e-12)
+    assert (restored == 0).any() == (wanted < 0).any()
 
 
 def test_other_numbers_of_harmonics_are_refused() -> None:

@@ -42,7 +42,7 @@ def outcome(file: Path, data: bytes, read: Callable[[Path], Any] = read_splats) 
     tracemalloc.start()
     line = ""
     try:
-        found = read(file)
+        splats = read(file)
     except SceneFolderError as error:
         line = str(error)
     finally:
@@ -53,8 +53,8 @@ def outcome(file: Path, data: bytes, read: Callable[[Path], Any] = read_splats) 
         assert line.startswith(f"{file}: ")
         assert "\n" not in line
     elif read is read_splats:
-        assert len(found.mean)
-        assert all(np.isfinite(values).all() for values in vars(found).values())
+        assert len(splats.mean)
+        assert all(np.isfinite(values).all() for values in vars(splats).values())
     return line
 
 
@@ -301,9 +301,9 @@ FILES: list[tuple[str, bytes, str]] = [
 def test_files(suffix: str, data: bytes, reason: str, tmp_path: Path) -> None:
     if data[:4] == b"NGSP":
         pytest.importorskip("zstandard")
-    found = outcome(tmp_path / f"a{suffix}", data)
-    assert reason in found
-    assert bool(found) == bool(reason)
+    line = outcome(tmp_path / f"a{suffix}", data)
+    assert reason in line
+    assert bool(line) == bool(reason)
 
 
 @pytest.mark.filterwarnings("error")
@@ -313,11 +313,11 @@ def test_numbers_out_of_range(name: str, number: float, tmp_path: Path) -> None:
     """They are refused by their names, but for logits and logarithms that have no effect."""
     values = getattr(SPLATS, name).copy()
     values.reshape(-1)[7] = number
-    found = outcome(tmp_path / "a.ply", write_splats(replace(SPLATS, **{name: values}), ".ply"))
+    line = outcome(tmp_path / "a.ply", write_splats(replace(SPLATS, **{name: values}), ".ply"))
     if np.isnan(number) or (name == "quaternion" and np.isinf(number)) or name in ("mean", "base", "rest"):
-        assert f"a {name} is {'beyond 1e+09' if number == -1e30 else 'NaN or infinite'}" in found
+        assert f"a {name} is {'beyond 1e+09' if number == -1e30 else 'NaN or infinite'}" in line
     else:
-        assert not found
+        assert not line
 
 
 @pytest.mark.filterwarnings("error")
