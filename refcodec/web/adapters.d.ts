@@ -4,8 +4,6 @@ import { PlainGaussians } from "./c3gs.js";
 /**
  * Options of `ExtSplats` of `@sparkjsdev/spark` 2: 32 bytes for a Gaussian, and 16 to 64 for its harmonics.
  *
- *     const mesh = new SplatMesh({ splats: new ExtSplats(sparkSplats(gaussians.plain())) });
- *
  * Means are binary32. Opacities, colours and logarithms of lengths are binary16. A quaternion has 32 bits. The three
  * numbers of a harmonic have eight bits each, and a common exponent.
  */
@@ -23,12 +21,7 @@ export interface PlayCanvasProperty {
   byteSize: 4;
 }
 
-/**
- * The argument of `GSplatData` of `playcanvas` 2: the properties of PLY files of 3DGS, an array for each.
- *
- *     const data = new GSplatData(playCanvasElements(gaussians.plain()));
- *     entity.addComponent("gsplat", { resource: new GSplatResource(app.graphicsDevice, data) });
- */
+/** The argument of `GSplatData` of `playcanvas` 2: the properties of PLY files of 3DGS, an array for each. */
 export function playCanvasElements(
   gaussians: PlainGaussians,
 ): [{ name: "vertex"; count: number; properties: PlayCanvasProperty[] }];

@@ -29,8 +29,6 @@ export interface Options {
    * arrays of all anchors for `decodeAll`, and the memory of `Gaussians`.
    */
   maxMemory?: number;
-  /** Whether to compute the digests of 9.3. */
-  digests?: boolean;
   /** c3gs.wasm, if it is not beside c3gs.js. */
   wasm?: WebAssembly.Module | ArrayBuffer | ArrayBufferView;
 }
@@ -58,42 +56,24 @@ export class BoundPassedError extends Error {
 /** A scene of another render_model: it cannot be drawn, or has no `splat`. It is not a verdict on the file. */
 export class RenderModelError extends Error {}
 
-/** The fields of 5.2 to 5.5 by name. */
-export interface Header {
-  readonly minor: number;
-  readonly profile: number;
-  readonly level: number;
-  readonly anchor_count: number;
-  readonly chunk_count: number;
-  readonly chunk_size: number;
-  readonly plane_lanes_log2: number;
-  readonly mask_lanes_log2: number;
-  readonly attribute_lanes_log2: number;
+type HeaderNumber =
+  | "minor" | "profile" | "level" | "anchor_count" | "chunk_count" | "chunk_size"
+  | "plane_lanes_log2" | "mask_lanes_log2" | "attribute_lanes_log2" | "scale_mantissa" | "scale_exponent"
+  | "up_axis" | "near_plane" | "distance_unit" | "alpha_max" | "low_pass"
+  | "colour_primaries" | "transfer_characteristics" | "render_model"
+  | "offset_count" | "plane_channels" | "frequency_count" | "slice_count" | "view_inputs" | "colour_outputs"
+  | "plane_size" | "render_width";
+
+/**
+ * The fields of 5.2 to 5.5 by name. Of the code points of Rec. ITU-T H.273 for drawn colours (6.5), 1 and 13 are BT.709
+ * and sRGB; 8 is linear light. render_model: 0 is view-dependent, 1 static. Other scenes cannot be drawn (6.5).
+ */
+export interface Header extends Readonly<Record<HeaderNumber, number>> {
   /** Of features, scalings and offsets. */
   readonly base_step: readonly number[];
   readonly origin: readonly bigint[];
-  readonly scale_mantissa: number;
-  readonly scale_exponent: number;
   /** Red, green and blue, 0 to 255. */
   readonly background: readonly number[];
-  readonly up_axis: number;
-  readonly near_plane: number;
-  readonly distance_unit: number;
-  readonly alpha_max: number;
-  readonly low_pass: number;
-  /** Code points of Rec. ITU-T H.273 for drawn colours (6.5). 1 and 13 are BT.709 and sRGB; 8 is linear light. */
-  readonly colour_primaries: number;
-  readonly transfer_characteristics: number;
-  /** 0: view-dependent, 1: static. Scenes with other values cannot be drawn (6.5). */
-  readonly render_model: number;
-  readonly offset_count: number;
-  readonly plane_channels: number;
-  readonly frequency_count: number;
-  readonly slice_count: number;
-  readonly view_inputs: number;
-  readonly colour_outputs: number;
-  readonly plane_size: number;
-  readonly render_width: number;
   readonly hyper_width: readonly number[];
   readonly sarm_width: readonly number[];
   readonly carm_width: readonly number[];
@@ -150,10 +130,6 @@ export interface Chunk extends Anchors {
   readonly first: number;
   /** The bytes of its parts in the file, without padding (5.14). */
   readonly lengths: { readonly positions: number; readonly masks: number; readonly attributes: number };
-  /** SHA-256 (9.3), 32 bytes, if the options request digests. */
-  readonly digest?: Uint8Array;
-  /** The part splat of a static scene (9.3), if the options request digests: the numbers of each Gaussian in a row. */
-  readonly splat?: Float32Array;
 }
 
 /** The plain Gaussians of a static scene (9.4), exact, in the order of anchors and kept offsets. */
@@ -216,20 +192,8 @@ export interface Scene {
   chunk(number: number): Promise<Chunk>;
 }
 
-/** SHA-256, 32 bytes each (9.3). */
-export interface Digests {
-  readonly scene: Uint8Array;
-  /** `splat` of a static scene only. */
-  readonly parts: Record<
-    "positions" | "masks" | "planes" | "features" | "scalings" | "offsets" | "weights",
-    Uint8Array
-  > & { readonly splat?: Uint8Array };
-}
-
 export interface Whole {
   readonly scene: Scene;
-  /** Present if the options request them. */
-  readonly digests?: Digests;
 }
 
 /**
@@ -292,14 +256,8 @@ export interface View {
  * The plain Gaussians of a static scene, in the order of anchors and kept offsets. Only colours depend on the camera.
  * Three numbers of a Gaussian follow each other, thus the arrays are attributes of WebGL and of three.js as they are.
  */
-export interface PlainGaussians {
+export interface PlainGaussians extends Pick<View, "positions" | "scales" | "rotations"> {
   readonly count: number;
-  /** Means in the scene's world, count by 3. */
-  readonly positions: Float32Array;
-  /** Lengths of the axes, count by 3. They are not logarithms. */
-  readonly scales: Float32Array;
-  /** Quaternions w, x, y, z of length 1, count by 4. */
-  readonly rotations: Float32Array;
   /** From 0 to 1. A Gaussian with 0 is not drawn. */
   readonly opacities: Float32Array;
   /**
@@ -336,10 +294,6 @@ export interface Added {
  * header.render_width plus 32 bytes per anchor, and 13 bytes per kept offset. In a static scene only colours depend on
  * the place, and the values take 4 bytes per anchor, and 45 bytes plus 4 times header.colour_outputs per kept offset.
  * They are released with the scene.
- *
- *     const gaussians = new Gaussians(scene);
- *     const index = gaussians.add(chunk);
- *     const { count, positions, scales, rotations, colours, opacities } = gaussians.chunk(index, [0, 0, -3]);
  */
 export class Gaussians {
   /**

@@ -5,7 +5,6 @@ import { chunkError, entries, parseIndex, readChunk } from "./chunks.js";
 import {
   checkData, checkEnd, features, isAncillary, isStatic, parseFrame, passSection, readHeader, readSection,
 } from "./container.js";
-import { Digests } from "./digests.js";
 import { RenderModelError } from "./errors.js";
 import { loadKernel, shareKernel } from "./kernel.js";
 import { parsePlanes } from "./planes.js";
@@ -87,10 +86,6 @@ class Scene {
   splat(anchors) {
     if (this.#splatter === undefined) throw new RenderModelError(this.header.render_model, "only 1 is static");
     return this.#splatter.splat(anchors);
-  }
-
-  splatRows(anchors) {
-    return this.#splatter.rows(anchors);
   }
 
   async readAncillary() {
@@ -182,10 +177,6 @@ class Scene {
     }
     await checkEnd(this.#source, this.header);
   }
-
-  digests() {
-    return new Digests(this.#kernel, this);
-  }
 }
 
 // holds: whether all anchors are kept in memory.
@@ -209,16 +200,9 @@ async function* run(input, options, begun) {
   try {
     const scene = await begin(source, options, true, begun !== undefined);
     begun?.(scene);
-    const digests = options.digests ? scene.digests() : undefined;
-    for await (const chunk of scene.chunks()) {
-      if (digests !== undefined) {
-        if (isStatic(scene.header)) chunk.splat = scene.splatRows(chunk);
-        chunk.digest = digests.add(chunk);
-      }
-      yield chunk;
-    }
+    yield* scene.chunks();
     await scene.close();
-    return { scene, digests: digests?.end() };
+    return { scene };
   } finally {
     await source.close();
   }
@@ -250,7 +234,7 @@ export async function decodeAll(input, options = {}) {
   for (;;) {
     const { value, done } = await decoding.next();
     if (!done) {
-      if (whole === undefined) chunks.push({ ...value, splat: undefined });
+      if (whole === undefined) chunks.push({ ...value });
       continue;
     }
     const anchors = { count: value.scene.header.anchor_count, ...whole };

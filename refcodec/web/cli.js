@@ -14,7 +14,7 @@ import * as fs from "node:fs";
 import * as path from "node:path";
 import * as readline from "node:readline";
 import { C3gsError, decode, Gaussians, RenderModelError } from "./c3gs.js";
-import { anchorParts, partsOf, sceneHead } from "./digests.js";
+import { Digests, partsOf, sceneHead } from "./digests.js";
 
 const EXIT = { done: 0, refused: 1, unsupported: 2, usage: 64, fault: 70 };
 
@@ -58,31 +58,26 @@ function partPlaces({ header, features, planes, layers }) {
 
 // Writes the canonical reconstruction, chunk by chunk.
 async function reconstruct(input, output) {
-  const chunks = decode(fileSource(input), { digests: true });
-  let places;
-  const place = (scene) => {
-    places ??= partPlaces(scene);
-    return places;
+  const chunks = decode(fileSource(input));
+  let digests, at;
+  const append = (name, data) => {
+    write(output, data, at[name]);
+    at[name] += data.byteLength;
   };
   for (;;) {
     const { value, done } = await chunks.next();
-    const at = place(value.scene);
+    const { scene } = value;
+    digests ??= new Digests(scene);
+    at ??= partPlaces(scene);
     if (!done) {
-      for (const name of anchorParts(value.scene.header)) {
-        write(output, value[name], at[name]);
-        at[name] += value[name].byteLength;
-      }
+      const { parts } = digests.add(value);
+      for (const name of partsOf(scene.header)) if (name in parts) append(name, parts[name]);
       continue;
     }
-    const { scene, digests } = value;
     const head = sceneHead(scene.header);
-    write(output, head, 0);
-    partsOf(scene.header).forEach((name, i) => write(output, digests.parts[name], head.length + 32 * i));
-    write(output, scene.planes, at.planes);
-    for (const { values } of scene.layers) {
-      write(output, values, at.weights);
-      at.weights += values.byteLength;
-    }
+    write(output, Buffer.concat([head, ...Object.values(digests.end().parts)]), 0);
+    append("planes", scene.planes);
+    for (const { values } of scene.layers) append("weights", values);
     return;
   }
 }

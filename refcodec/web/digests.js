@@ -1,9 +1,9 @@
-// The digests of the canonical reconstruction (SPEC.md 9.3), chunk by chunk.
+// The digests of the canonical reconstruction (SPEC.md 9.3), chunk by chunk. Only for Node: browsers have no SHA-256 of
+// bytes that come piece by piece.
+import { createHash } from "node:crypto";
 import { isStatic } from "./container.js";
 
 const PARTS = ["positions", "masks", "planes", "features", "scalings", "offsets", "weights"];
-// The parts of anchors.
-const OF_ANCHORS = ["positions", "masks", "features", "scalings", "offsets"];
 // The last part of a static scene (9.4).
 const SPLAT = "splat";
 
@@ -11,54 +11,54 @@ export function partsOf(header) {
   return isStatic(header) ? [...PARTS, SPLAT] : PARTS;
 }
 
-export function anchorParts(header) {
-  return isStatic(header) ? [...OF_ANCHORS, SPLAT] : OF_ANCHORS;
-}
-
-const ascii = (text) => Uint8Array.from(text, (letter) => letter.charCodeAt(0));
 // 2.3
-const u32 = (...values) => {
-  const view = new DataView(new ArrayBuffer(4 * values.length));
-  values.forEach((value, i) => view.setUint32(4 * i, value, true));
-  return new Uint8Array(view.buffer);
-};
+const u32 = (...values) => Uint8Array.from(values.flatMap((value) => [0, 8, 16, 24].map((bit) => value >>> bit)));
 
 // The first bytes of the digest input of a scene.
 export function sceneHead({ anchor_count: count, drawn }) {
-  return Uint8Array.of(...ascii("C3GSREC1"), ...u32(count), ...drawn);
+  return Buffer.concat([Buffer.from("C3GSREC1"), u32(count), drawn]);
 }
 
-// The first bytes of the digest input of a chunk.
-function chunkHead(count, header, features) {
-  return Uint8Array.of(...ascii("C3GSCHK1"), ...u32(count, header.offset_count, features));
+// The numbers of each Gaussian one after the other.
+function rowsOf({ count, ...splat }) {
+  const arrays = Object.values(splat);
+  const rows = new Float32Array(arrays.reduce((sum, { length }) => sum + length, 0));
+  for (let i = 0, at = 0; i < count; i++) {
+    for (const array of arrays) {
+      const width = array.length / count;
+      rows.set(array.subarray(width * i, width * (i + 1)), at);
+      at += width;
+    }
+  }
+  return rows;
 }
 
 export class Digests {
-  constructor(kernel, scene) {
-    this.parts = partsOf(scene.header);
-    Object.assign(this, { kernel, scene, hashes: new Map(this.parts.map((name) => [name, kernel.makeHash()])) });
-    kernel.addToHash(this.hashes.get("planes"), scene.planes);
-    for (const { values } of scene.layers) kernel.addToHash(this.hashes.get("weights"), values);
+  constructor(scene) {
+    this.scene = scene;
+    this.hashes = new Map(partsOf(scene.header).map((name) => [name, createHash("sha256")]));
+    this.hashes.get("planes").update(scene.planes);
+    for (const { values } of scene.layers) this.hashes.get("weights").update(values);
   }
 
-  // Adds the next chunk, and returns its digest. Its parts are in it by name.
+  // Adds the next chunk, or all anchors. Returns its digest, and its parts by name.
   add(chunk) {
     const { header, features } = this.scene;
-    const own = this.kernel.makeHash();
-    this.kernel.addToHash(own, chunkHead(chunk.count, header, features));
-    for (const name of anchorParts(header)) {
-      this.kernel.addToHash(own, chunk[name]);
-      this.kernel.addToHash(this.hashes.get(name), chunk[name]);
+    const parts = isStatic(header) ? { ...chunk, splat: rowsOf(this.scene.splat(chunk)) } : chunk;
+    const own = createHash("sha256").update("C3GSCHK1").update(u32(chunk.count, header.offset_count, features));
+    for (const [name, hash] of this.hashes) {
+      if (name === "planes" || name === "weights") continue;
+      own.update(parts[name]);
+      hash.update(parts[name]);
     }
-    return this.kernel.endHash(own);
+    return { digest: own.digest(), parts };
   }
 
   // Returns the digest of the scene, and of each part by name, 32 bytes each.
   end() {
-    const parts = Object.fromEntries(this.parts.map((name) => [name, this.kernel.endHash(this.hashes.get(name))]));
-    const whole = this.kernel.makeHash();
-    this.kernel.addToHash(whole, sceneHead(this.scene.header));
-    for (const name of this.parts) this.kernel.addToHash(whole, parts[name]);
-    return { scene: this.kernel.endHash(whole), parts };
+    const whole = createHash("sha256").update(sceneHead(this.scene.header));
+    const parts = Object.fromEntries(Array.from(this.hashes, ([name, hash]) => [name, hash.digest()]));
+    for (const digest of Object.values(parts)) whole.update(digest);
+    return { scene: whole.digest(), parts };
   }
 }

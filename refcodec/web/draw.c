@@ -317,13 +317,13 @@ static void normalise(const float from[4], float to[4])
 
 /* Writes a Gaussian but its opacity. Returns whether all its numbers are finite. */
 static int write_gaussian(const renderer *r, const view *v, uint32_t at, const float *mean, const float *axes,
-                          const float *covariance, const float *colour, uint32_t offset)
+                          float hidden[NETWORKS][RENDER_WIDTH_MAX], uint32_t offset)
 {
     const float *rows = r->row + (size_t)offset * ROWS * r->width, *bias = r->row_bias + (size_t)offset * ROWS;
     size_t half = (size_t)LANES * r->width, third = COVARIANCE_ROWS * (size_t)r->width;
-    vector lengths = outputs(covariance, rows, bias, r->width);
-    vector rest = outputs(covariance, rows + half, bias + LANES, r->width);
-    vector shade = logistic(outputs(colour, rows + third, bias + COVARIANCE_ROWS, r->width));
+    vector lengths = outputs(hidden[COVARIANCE], rows, bias, r->width);
+    vector rest = outputs(hidden[COVARIANCE], rows + half, bias + LANES, r->width);
+    vector shade = logistic(outputs(hidden[COLOUR], rows + third, bias + COVARIANCE_ROWS, r->width));
     const float quaternion[4] = {lengths[3], rest[0], rest[1], rest[2]};
     vector size = logistic(lengths);
     float *rotation = v->rotation + (size_t)4 * at;
@@ -342,15 +342,19 @@ static int write_gaussian(const renderer *r, const view *v, uint32_t at, const f
 }
 
 /* SPEC 14.3, GAUSSIANS, for the anchors from `start` to before `end`. Gaussians with a number that is not finite are
- * left out. place: of the camera. number: of the first of all these anchors. room: how many Gaussians `v` takes.
+ * left out. place: of the camera. number: of the first of all these anchors. room: how many Gaussians there is room for
+ * where the pointers say, in the order of `view`.
  *
  * Returns how many there are, or REFUSED for anchors that there are not, or that keep more offsets than there is room.
  */
-static int32_t draw(const renderer *r, const anchors *a, uint32_t start, uint32_t end, const double place[3],
-                    uint32_t number, uint32_t room, const view *v)
+EXPORT("draw")
+int32_t web_draw(const renderer *r, const anchors *a, uint32_t start, uint32_t end, const double *place,
+                 uint32_t number, uint32_t room, float *position, float *scale, float *rotation, float *colour,
+                 float *opacity, uint32_t *anchor, uint8_t *offsets)
 {
+    const view v = {position, scale, rotation, colour, opacity, anchor, offsets};
     if (end > a->count || start > end || a->first[end] - a->first[start] > room) return REFUSED;
-    float opacity[RENDER_WIDTH_MAX], covariance[RENDER_WIDTH_MAX], colour[RENDER_WIDTH_MAX];
+    float hidden[NETWORKS][RENDER_WIDTH_MAX];
     uint32_t found = 0;
     for (uint32_t i = start; i < end; i++) {
         uint32_t kept = a->first[i + 1] - a->first[i];
@@ -366,7 +370,7 @@ static int32_t draw(const renderer *r, const anchors *a, uint32_t start, uint32_
         vector inputs[PLACE_INPUTS];
         for (int axis = 0; axis < 3; axis++) inputs[axis] = all(distance > 0 ? (float)(away[axis] / distance) : 0);
         inputs[3] = all((float)(distance / (double)r->distance_unit));
-        hidden_layer(r, OPACITY, sum, inputs, opacity);
+        hidden_layer(r, OPACITY, sum, inputs, hidden[OPACITY]);
         int shaped = 0;
         for (uint32_t k = 0; k < kept; k += LANES) {
             const float *row[LANES];
@@ -376,31 +380,20 @@ static int32_t draw(const renderer *r, const anchors *a, uint32_t start, uint32_
                 row[lane] = r->opacity + (size_t)own * r->width;
                 bias[lane] = r->opacity_bias[own];
             }
-            vector value = products(opacity, row, r->width) + bias;
+            vector value = products(hidden[OPACITY], row, r->width) + bias;
             vector shown = tangent(value);
             for (uint32_t lane = 0; lane < LANES && k + lane < kept; lane++) {
                 if (!(value[lane] > 0)) continue;
                 if (!shaped) {
-                    hidden_layer(r, COVARIANCE, sum, inputs, covariance);
-                    hidden_layer(r, COLOUR, sum, inputs, colour);
+                    for (int n = COVARIANCE; n <= COLOUR; n++) hidden_layer(r, n, sum, inputs, hidden[n]);
                     shaped = 1;
                 }
-                v->opacity[found] = shown[lane];
-                v->anchor[found] = number + i;
-                found += (uint32_t)write_gaussian(r, v, found, mean + (size_t)3 * (k + lane),
-                                                  a->axes + (size_t)3 * i, covariance, colour, offset[k + lane]);
+                v.opacity[found] = shown[lane];
+                v.anchor[found] = number + i;
+                found += (uint32_t)write_gaussian(r, &v, found, mean + (size_t)3 * (k + lane),
+                                                  a->axes + (size_t)3 * i, hidden, offset[k + lane]);
             }
         }
     }
     return (int32_t)found;
-}
-
-/* The same with plain pointers. to: where positions, scales, rotations, colours, opacities, anchors and offsets go. */
-EXPORT("draw")
-int32_t web_draw(const renderer *r, const anchors *a, uint32_t start, uint32_t end, const double *place,
-                 uint32_t number, uint32_t room, float *position, float *scale, float *rotation, float *colour,
-                 float *opacity, uint32_t *anchor, uint8_t *offset)
-{
-    const view v = {position, scale, rotation, colour, opacity, anchor, offset};
-    return draw(r, a, start, end, place, number, room, &v);
 }

@@ -25,10 +25,6 @@ export interface Parser {
 /**
  * A plugin of GLTFLoader: compressed primitives get their attributes as if they were in the file as plain numbers.
  *
- *     const loader = new GLTFLoader();
- *     loader.register((parser) => new C3gsGltfPlugin(parser));
- *     const { scene } = await loader.loadAsync("scene.glb");
- *
  * Without a plugin for KHR_gaussian_splatting itself, such as GLTFGaussianSplatLoaderExtension of three.js, the loader
  * makes `Points` of them. Errors of `decodeAttributes` reach the caller of the loader, and so does an Error for a
  * primitive that does not describe the Gaussians of its C3GS file.

@@ -10,7 +10,6 @@ const MEMORY_MAX = 2 ** 32 - 1;
 const SINE_LENGTH = 1024;
 const STEP_LENGTH = 64;
 const PLANES = 5;
-const DIGEST_LENGTH = 32;
 const SLICES_MAX = 16;
 const SCALINGS = 6;
 // SPEC.md 7.4: the unit of a position is 2^-24.
@@ -72,15 +71,21 @@ class Kernel {
     this.scene = 0;
     this.buffers = new Map();
     exports._initialize();
-    const tables = exports.start() >>> 0;
-    if (tables === 0) throw noMemory();
+    const tables = this.#made("start", []);
     // 2.3: a file is little-endian, as WebAssembly is.
     this.steps = new Uint16Array(exports.memory.buffer, tables + 2 * SINE_LENGTH, STEP_LENGTH).slice();
   }
 
   allocate(size) {
+    if (size > MEMORY_MAX) throw noMemory();
+    return this.#made("allocate", [size]);
+  }
+
+  // Calls a function that returns new memory. given: what is released after the call.
+  #made(name, values, given = []) {
     // WebAssembly returns the unsigned address as a signed number.
-    const at = size <= MEMORY_MAX ? this.run.allocate(size) >>> 0 : 0;
+    const at = this.run[name](...values) >>> 0;
+    for (const own of given) this.run.release(own);
     if (at === 0) throw noMemory();
     return at;
   }
@@ -91,7 +96,10 @@ class Kernel {
 
   // Copies an array to new memory.
   put(array) {
-    const at = this.allocate(array.byteLength);
+    return this.#copied(array, this.allocate(array.byteLength));
+  }
+
+  #copied(array, at) {
     const bytes = new Uint8Array(array.buffer, array.byteOffset, array.byteLength);
     new Uint8Array(this.run.memory.buffer).set(bytes, at);
     return at;
@@ -110,10 +118,7 @@ class Kernel {
 
   // The same, with a copy of an array in it.
   keepCopy(name, array) {
-    const at = this.keep(name, array.byteLength);
-    const bytes = new Uint8Array(array.buffer, array.byteOffset, array.byteLength);
-    new Uint8Array(this.run.memory.buffer).set(bytes, at);
-    return at;
+    return this.#copied(array, this.keep(name, array.byteLength));
   }
 
   // A view of memory, valid until the next call.
@@ -153,9 +158,8 @@ class Kernel {
       chunks?.maskModel, chunks?.positionModel,
     ].map((array) => (array === undefined ? 0 : this.put(array)));
     this.run.freeScene(this.scene);
-    this.scene = this.run.makeScene(...given);
-    for (const at of given) this.run.release(at);
-    if (this.scene === 0) throw noMemory();
+    this.scene = 0;
+    this.scene = this.#made("makeScene", given, given);
   }
 
   // SPEC 7.3: decodes the five substreams of planes. places, lengths: in bytes. points: per sub-plane.
@@ -217,27 +221,17 @@ class Kernel {
   makeSplatter({ header, features }, weight, bias, exponent) {
     const { render_width: width, offset_count: offsets, colour_outputs: colours } = header;
     const given = [weight, bias, exponent].map((array) => this.put(array));
-    const at = this.run.makeSplatter(features, width, offsets, colours, ...given) >>> 0;
-    for (const own of given) this.run.release(own);
-    if (at === 0) throw noMemory();
-    return at;
+    return this.#made("makeSplatter", [features, width, offsets, colours, ...given], given);
   }
 
-  // SPEC 9.4: returns the Gaussians of anchors. arrays: as for addAnchors. kept: the kept offsets. widths: the numbers
-  // of a Gaussian by array. stride: 0, or the sum of the widths, for one array of rows. The arrays are views, valid
-  // until the next call.
-  splat(splatter, count, arrays, kept, widths, stride) {
+  // SPEC 9.4: returns the Gaussians of anchors, one array for each width, the numbers of a Gaussian in it. arrays: as
+  // for addAnchors. kept: the kept offsets. The results are views, valid until the next call.
+  splat(splatter, count, arrays, kept, widths) {
     const places = arrays.map((array, i) => this.keepCopy(`anchors ${i}`, array));
-    const all = widths.reduce((sum, width) => sum + width, 0);
-    const start = this.keep("splat", 4 * all * kept);
-    // Each array follows the one before it, in rows or as a whole.
-    const to = widths.map((_, i) => {
-      const before = widths.slice(0, i).reduce((sum, width) => sum + width, 0);
-      return start + 4 * before * (stride > 0 ? 1 : kept);
-    });
-    known(this.run.splat(splatter, count, ...places, kept, stride, ...to));
-    if (stride > 0) return { count: kept, arrays: [this.view(Float32Array, start, all * kept)] };
-    return { count: kept, arrays: widths.map((width, i) => this.view(Float32Array, to[i], width * kept)) };
+    const to = widths.map((width, i) => this.keep(`splat ${i}`, 4 * width * kept));
+    // Rows of the arrays have no gaps: their stride is 0.
+    known(this.run.splat(splatter, count, ...places, kept, 0, ...to));
+    return widths.map((width, i) => this.view(Float32Array, to[i], width * kept));
   }
 
   // SPEC 14.3: returns the rendering networks. layers: of the scene.
@@ -252,17 +246,12 @@ class Kernel {
     }
     const given = this.put(whole);
     const { render_width: width, offset_count: offsets, distance_unit: unit } = header;
-    const at = this.run.makeRenderer(features, width, offsets, unit, given, count) >>> 0;
-    this.run.release(given);
-    if (at === 0) throw noMemory();
-    return at;
+    return this.#made("makeRenderer", [features, width, offsets, unit, given, count], [given]);
   }
 
   // Allocates memory for anchors and their kept offsets, for `addAnchors`.
   makeAnchors(renderer, count, kept) {
-    const at = this.run.makeAnchors(renderer, count, kept) >>> 0;
-    if (at === 0) throw noMemory();
-    return at;
+    return this.#made("makeAnchors", [renderer, count, kept]);
   }
 
   // Appends anchors. arrays: positions, masks, features, scalings and offsets.
@@ -281,24 +270,6 @@ class Kernel {
     const count = known(this.run.draw(renderer, anchors, start, end, from, number, room, ...to));
     const own = kinds.map(([name, [type, width]], i) => [name, this.view(type, to[i], width * count)]);
     return { count, ...Object.fromEntries(own) };
-  }
-
-  makeHash() {
-    const at = this.run.makeHash() >>> 0;
-    if (at === 0) throw noMemory();
-    return at;
-  }
-
-  addToHash(hash, array) {
-    const bytes = new Uint8Array(array.buffer, array.byteOffset, array.byteLength);
-    this.run.addToHash(hash, this.keepCopy("hashed", bytes), bytes.length);
-  }
-
-  endHash(hash) {
-    const to = this.keep("digest", DIGEST_LENGTH);
-    this.run.endHash(hash, to);
-    this.run.release(hash);
-    return this.view(Uint8Array, to, DIGEST_LENGTH).slice();
   }
 }
 

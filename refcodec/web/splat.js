@@ -47,42 +47,21 @@ export class Splatter {
 
   // Returns the arrays, and count, the number of Gaussians.
   splat(anchors) {
+    const arrays = anchorArrays(this.#scene, anchors);
+    const names = Object.entries(this.#widths);
+    const keptOf = (masks) => masks.reduce((sum, mask) => sum + (mask !== 0 ? 1 : 0), 0);
+    const whole = keptOf(anchors.masks);
     const found = { count: 0 };
-    const [kept, pieces] = this.#pieces(anchors, 0);
-    for (const [name, width] of Object.entries(this.#widths)) found[name] = new Float32Array(width * kept);
-    for (const { count, arrays } of pieces) {
-      Object.entries(this.#widths).forEach(([name, width], i) => found[name].set(arrays[i], width * found.count));
-      found.count += count;
+    for (const [name, width] of names) found[name] = new Float32Array(width * whole);
+    for (let from = 0; from < anchors.count; from += PIECE) {
+      const count = Math.min(PIECE, anchors.count - from);
+      const piece = arrays.map(([array, width]) => array.subarray(from * width, (from + count) * width));
+      const kept = keptOf(piece[1]);
+      const splats = this.#kernel.splat(this.#networks, count, piece, kept, Object.values(this.#widths));
+      names.forEach(([name, width], i) => found[name].set(splats[i], width * found.count));
+      found.count += kept;
     }
     return found;
-  }
-
-  // Returns the numbers of each Gaussian one after the other, as in the part splat (9.3).
-  rows(anchors) {
-    const width = Object.values(this.#widths).reduce((sum, own) => sum + own, 0);
-    const [kept, pieces] = this.#pieces(anchors, width);
-    const rows = new Float32Array(width * kept);
-    let at = 0;
-    for (const { arrays } of pieces) {
-      rows.set(arrays[0], at);
-      at += arrays[0].length;
-    }
-    return rows;
-  }
-
-  // Returns the number of Gaussians, and those of the anchors piece by piece. stride: as in the kernel.
-  #pieces(anchors, stride) {
-    const arrays = anchorArrays(this.#scene, anchors);
-    const [kernel, networks, widths] = [this.#kernel, this.#networks, Object.values(this.#widths)];
-    const keptOf = (masks) => masks.reduce((sum, mask) => sum + (mask !== 0 ? 1 : 0), 0);
-    function* pieces() {
-      for (let from = 0; from < anchors.count; from += PIECE) {
-        const count = Math.min(PIECE, anchors.count - from);
-        const piece = arrays.map(([array, width]) => array.subarray(from * width, (from + count) * width));
-        yield kernel.splat(networks, count, piece, keptOf(piece[1]), widths, stride);
-      }
-    }
-    return [keptOf(anchors.masks), pieces()];
   }
 }
 

@@ -16,16 +16,7 @@ export interface SplatTarget {
   ): void;
 }
 
-/**
- * A decoded file.
- *
- *     const model = await new C3gsLoader().loadAsync("scene.c3gs");
- *     const packedSplats = new PackedSplats({ maxSplats: model.gaussians.slotCount });
- *     const mesh = new SplatMesh({ packedSplats });
- *     mesh.quaternion.copy(model.upright);
- *     mesh.updateMatrixWorld();
- *     model.fill(packedSplats, camera, mesh);
- */
+/** A decoded file. README.md has examples. */
 export class C3gsModel {
   readonly scene: Scene;
   /** All chunks of the file. */

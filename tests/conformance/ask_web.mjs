@@ -9,6 +9,7 @@ import {
   projectionMatrix, uprightMatrix,
 } from "../../refcodec/web/c3gs.js";
 import { playCanvasElements } from "../../refcodec/web/adapters.js";
+import { Digests } from "../../refcodec/web/digests.js";
 
 const hex = (bytes) => Buffer.from(bytes).toString("hex");
 const blocks = function* (bytes, size) {
@@ -146,17 +147,21 @@ async function answer({ file, way, number, options, ...rest }, chunks) {
     return { entries: Array.from(scene.entries(), plain) };
   }
   if (way === "all") {
-    const { anchors, digests } = await decodeAll(bytes, { ...options, digests: true });
-    return { scene: hex(digests.scene), arrays: Object.keys(anchors), offsets: hex(anchors.offsets.buffer) };
+    const { scene, anchors } = await decodeAll(bytes, options);
+    const digests = new Digests(scene);
+    digests.add(anchors);
+    return { scene: hex(digests.end().scene), arrays: Object.keys(anchors), offsets: hex(anchors.offsets.buffer) };
   }
-  const run = decode(input(bytes, { way, ...rest }), { ...options, digests: true });
+  const run = decode(input(bytes, { way, ...rest }), options);
+  let digests;
   for (;;) {
     const { value, done } = await run.next();
+    digests ??= new Digests(value.scene);
     if (!done) {
-      chunks.push(hex(value.digest));
+      chunks.push(hex(digests.add(value).digest));
       continue;
     }
-    const { scene, parts } = value.digests;
+    const { scene, parts } = digests.end();
     const named = Object.entries(parts).map(([name, own]) => [name, hex(own)]);
     return { scene: hex(scene), parts: Object.fromEntries(named) };
   }

@@ -19,9 +19,7 @@ const page = {
     return new Response(bytes, { headers: { "Content-Length": bytes.length } });
   },
   wasmUrl: "c3gs.wasm",
-  place: [0, 0, 3],
   draw: ({ count }) => (drawn += count),
-  update: (slot, kept, { count }) => (drawn += Math.min(count, kept)),
 };
 const AsyncFunction = (async () => {}).constructor;
 

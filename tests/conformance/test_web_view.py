@@ -230,7 +230,7 @@ def test_the_examples_of_the_manual_run(tmp_path: Path) -> None:
     done = subprocess.run([str(NODE), program, path], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     said = json.loads(done.stdout)
-    assert said["ran"] == 6
+    assert said["ran"] == 4
     assert said["drawn"] > 0
 
 
