@@ -138,8 +138,6 @@ export class Drawing {
     Object.assign(this, { canvas, gl, count: 0, target: undefined });
     const floats = gl.getExtension("EXT_color_buffer_float") ?? gl.getExtension("EXT_color_buffer_half_float");
     this.format = floats ? gl.RGBA16F : gl.RGBA8;
-    const info = gl.getExtension("WEBGL_debug_renderer_info");
-    this.device = gl.getParameter(info ? info.UNMASKED_RENDERER_WEBGL : gl.RENDERER);
     // By the number of harmonics, 0 if the scene is not static.
     this.programs = new Map();
     this.encoding = program(gl, COVERING, ENCODE);
@@ -289,13 +287,6 @@ export class Drawing {
       turned.set(found.subarray(4 * width * row, 4 * width * (row + 1)), 4 * width * (height - 1 - row));
     }
     return turned;
-  }
-
-  // Waits until the device has finished drawing.
-  finish() {
-    const { gl } = this;
-    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
-    gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
   }
 }
 

@@ -14,8 +14,6 @@ const QUICK = 0.4;
 const SHARE_MIN = 0.1;
 // Milliseconds without motion until all pixels are drawn again.
 const STILL = 150;
-// Radians of a step around the pivot.
-const STEP = Math.PI / 60;
 // The most device pixels per CSS pixel: more are not visible.
 const RATIO_MAX = 2;
 const LOST = "The graphics device was lost: load the page again";
@@ -44,7 +42,6 @@ class Viewer {
       tools: { KeyP: () => this.#save(), KeyR: () => this.#back() },
     });
     this.drawing = new Drawing(this.canvas);
-    this.device = this.drawing.device;
     this.pressed = new Set();
     this.pointers = new Map();
     this.waiting = [];
@@ -57,9 +54,8 @@ class Viewer {
     this.#stop();
     // Callers that wait for the previous file wait for this one.
     const opening = (this.opening = {});
-    // Milliseconds since the page began: the header, the first picture, and the picture of the whole scene.
-    Object.assign(this, { times: {}, header: undefined, cameras: [], extent: undefined, name, touched: false });
-    Object.assign(this, { view: 0, settled: undefined, frames: 0, owes: false, refused: undefined });
+    Object.assign(this, { header: undefined, cameras: [], extent: undefined, name, touched: false });
+    Object.assign(this, { view: 0, settled: undefined, owes: false, refused: undefined });
     // The camera of the previous file does not apply to this one.
     Object.assign(this, { pose: undefined, lens: undefined, camera: undefined, number: undefined });
     this.panel.begin(name);
@@ -104,7 +100,6 @@ class Viewer {
       return;
     }
     this.header = header;
-    this.times.head = performance.now();
     this.#about(about);
   }
 
@@ -129,7 +124,6 @@ class Viewer {
   }
 
   on_frame(frame) {
-    this.frames++;
     this.owes = true;
     this.drawing.take(frame);
     if (frame.id === this.view && frame.settled) this.settled = frame.id;
@@ -234,19 +228,7 @@ class Viewer {
     this.owes = false;
     const box = [left, top, this.lens.width * scale, this.lens.height * scale].map((side) => side / ratio);
     this.panel.photograph(this.camera?.isPhotograph ? this.camera : undefined, box);
-    this.#time();
-  }
-
-  // Notes the times of the first pictures. The device draws asynchronously, thus they wait for it.
-  #time() {
-    const { times } = this;
-    const whole = this.settled !== undefined && this.settled === this.view;
-    if ((times.first === undefined && this.drawing.count > 0) || (times.whole === undefined && whole)) {
-      this.drawing.finish();
-      if (this.drawing.count > 0) times.first ??= performance.now();
-      if (whole) times.whole ??= performance.now();
-      if (whole) this.panel.done();
-    }
+    if (this.settled !== undefined && this.settled === this.view) this.panel.done();
     this.#tell();
   }
 
@@ -282,13 +264,6 @@ class Viewer {
     const pixels = this.drawing.pixels(width, height, pose, lens);
     image.getContext("2d").putImageData(new ImageData(pixels, width, height), 0, 0);
     return image.toDataURL("image/png");
-  }
-
-  // Turns by one step around the pivot, and waits until the whole scene is drawn.
-  async step() {
-    this.changed(orbit(this.pose, this.up, [STEP, 0]));
-    await this.settle();
-    this.drawing.finish();
   }
 
   #save() {
