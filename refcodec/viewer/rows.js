@@ -8,7 +8,7 @@
 //
 // The unit is 1 unless a colour is above 1, as in a static scene (14.6). In a static scene, a row is computed once, and
 // the page computes the colours from harmonics: the numbers of a Gaussian by layers of four, each layer for a whole row.
-import { isStatic } from "../web/container.js";
+import { anchorArrays, isStatic } from "../web/container.js";
 import { boundsOf } from "../web/gaussians.js";
 import { activated } from "../web/splat.js";
 
@@ -29,11 +29,10 @@ const ALPHA_MIN = 1 / 255;
 export class Rows {
   // gaussians: of a scene that is not static. entries: those of the chunk index.
   constructor(scene, gaussians, entries) {
-    const { header, features } = scene;
+    const { header } = scene;
     const k = header.offset_count;
     Object.assign(this, { scene, gaussians });
     this.harmonics = isStatic(header) ? header.colour_outputs : 0;
-    this.widths = { positions: 3, masks: k, features, scalings: 6, offsets: 3 * k };
     // For each row: the anchors from start to before end, their bounds, and the place of their last view.
     this.blocks = [];
     this.anchorCount = 0;
@@ -65,7 +64,7 @@ export class Rows {
   // chunk: its anchors.
   add(chunk) {
     const { count, masks, positions } = chunk;
-    const offsets = this.widths.masks;
+    const offsets = this.scene.header.offset_count;
     this.gaussians?.add(chunk);
     for (let first = 0; first < count; ) {
       let [last, kept] = [first, 0];
@@ -87,8 +86,8 @@ export class Rows {
   }
 
   #part(chunk, first, last) {
-    const part = ([name, width]) => [name, chunk[name].subarray(width * first, width * last)];
-    return { count: last - first, ...Object.fromEntries(Object.entries(this.widths).map(part)) };
+    const part = ([name, [, width]]) => [name, chunk[name].subarray(width * first, width * last)];
+    return { count: last - first, ...Object.fromEntries(Object.entries(anchorArrays(this.scene.header)).map(part)) };
   }
 
   // The change of the view of a row: the distance from its last view over the distance to its anchors.

@@ -5,7 +5,7 @@
 // "head", "chunk", "frame", "end" and "refused". The arrays of a frame go to the page and are not kept here.
 import { checkBounds, gaussiansBytes } from "../web/bounds.js";
 import { BoundPassedError, C3gsError, decode, Gaussians } from "../web/c3gs.js";
-import { isStatic } from "../web/container.js";
+import { isAncillary, isStatic, pad4 } from "../web/container.js";
 import { looks } from "./looks.js";
 import { Rows } from "./rows.js";
 import { Sorter } from "./sort.js";
@@ -111,10 +111,10 @@ function parts() {
   const own = { ancillary: 0, weights: 0, planes: 0, ...(ended ? inChunks : { chunks: 0 }) };
   const of = { WGTS: "weights", PLNS: "planes", DATA: ended ? undefined : "chunks" };
   let end = 0;
-  for (const { type, start, length } of scene.header.sections) {
-    end = start + length + (-length & 3);
-    // 6.6: a small letter marks an ancillary section.
-    const part = type[0] >= "a" ? "ancillary" : of[type];
+  for (const section of scene.header.sections) {
+    const { type, start, length } = section;
+    end = start + pad4(length);
+    const part = isAncillary(section) ? "ancillary" : of[type];
     if (part !== undefined) own[part] += length;
   }
   own.header = end - Object.values(own).reduce((sum, length) => sum + length, 0);

@@ -3,7 +3,7 @@ import { ancillaryReader } from "./ancillary.js";
 import { checkBounds, checkBytes } from "./bounds.js";
 import { chunkError, entries, parseIndex, readChunk } from "./chunks.js";
 import {
-  checkData, checkEnd, features, isAncillary, isStatic, parseFrame, passSection, readHeader, readSection,
+  anchorArrays, checkData, checkEnd, features, isAncillary, isStatic, parseFrame, passSection, readHeader, readSection,
 } from "./container.js";
 import { RenderModelError } from "./errors.js";
 import { loadKernel, shareKernel } from "./kernel.js";
@@ -16,16 +16,14 @@ export { cameraMatrix, centreOf, projectionMatrix, uprightMatrix } from "./camer
 export { BoundPassedError, C3gsError, RenderModelError } from "./errors.js";
 export { Gaussians } from "./gaussians.js";
 
-const SCALINGS = 6;
 const STEP_SHIFT = 12;
 // 5.14
 const CHUNK_PARTS = ["positions", "masks", "attributes"];
 // The most bytes of anchors per file byte that are allocated before a chunk is decoded. The header states the number of
 // anchors in a few bytes, thus a small file could otherwise allocate much memory.
 const ROOM_OF_A_BYTE = 64;
-const ANCHOR_ARRAYS = {
-  positions: Float32Array, masks: Uint8Array, features: Float32Array, scalings: Float32Array, offsets: Float32Array,
-};
+// 9.2
+const KINDS = ["features", "scalings", "offsets"];
 
 // The contents before the chunks, and the state to decode any chunk.
 class Scene {
@@ -99,12 +97,11 @@ class Scene {
   // Allocates arrays for all anchors, if the source has enough bytes. Chunks are then decoded into them, as views.
   // Returns the arrays, or undefined.
   holdWhole() {
-    const { anchor_count: count, offset_count: offsets } = this.header;
-    const widths = { positions: 3, masks: offsets, features: this.features, scalings: SCALINGS, offsets: 3 * offsets };
-    const types = Object.entries(ANCHOR_ARRAYS);
-    const needed = types.reduce((sum, [name, type]) => sum + count * widths[name] * type.BYTES_PER_ELEMENT, 0);
+    const { anchor_count: count } = this.header;
+    const arrays = Object.entries(anchorArrays(this.header));
+    const needed = arrays.reduce((sum, [, [type, width]]) => sum + count * width * type.BYTES_PER_ELEMENT, 0);
     if (!(needed <= ROOM_OF_A_BYTE * this.#source.size)) return undefined;
-    this.#whole = Object.fromEntries(types.map(([name, type]) => [name, new type(count * widths[name])]));
+    this.#whole = Object.fromEntries(arrays.map(([name, [type, width]]) => [name, new type(count * width)]));
     return this.#whole;
   }
 
@@ -147,9 +144,10 @@ class Scene {
       this.#whole[name].set(view, at);
       return this.#whole[name].subarray(at, at + view.length);
     };
-    const values = (name, kind, width) => {
-      return copied(name, kernel.values(own[name], own.steps, kind, this.#tables[kind], n, width));
-    };
+    const values = KINDS.map((name, kind) => {
+      const [, width] = anchorArrays(h)[name];
+      return [name, copied(name, kernel.values(own[name], own.steps, kind, this.#tables[kind], n, width))];
+    });
     return {
       scene: this,
       number: entry.number,
@@ -158,9 +156,7 @@ class Scene {
       lengths: Object.fromEntries(CHUNK_PARTS.map((name, i) => [name, chunk.lengths[i]])),
       positions: copied("positions", kernel.worldPositions(own.positions, n, h)),
       masks: copied("masks", kernel.view(Uint8Array, own.masks, n * h.offset_count)),
-      features: values("features", 0, this.features),
-      scalings: values("scalings", 1, SCALINGS),
-      offsets: values("offsets", 2, 3 * h.offset_count),
+      ...Object.fromEntries(values),
     };
   }
 
@@ -234,12 +230,13 @@ export async function decodeAll(input, options = {}) {
   for (;;) {
     const { value, done } = await decoding.next();
     if (!done) {
-      if (whole === undefined) chunks.push({ ...value });
+      if (whole === undefined) chunks.push(value);
       continue;
     }
     const anchors = { count: value.scene.header.anchor_count, ...whole };
     if (whole === undefined) {
-      for (const [name, type] of Object.entries(ANCHOR_ARRAYS)) anchors[name] = joined(chunks, name, type);
+      const arrays = Object.entries(anchorArrays(value.scene.header));
+      for (const [name, [type]] of arrays) anchors[name] = joined(chunks, name, type);
     }
     return { ...value, anchors };
   }

@@ -286,6 +286,15 @@ export function features(h) {
   return h.slice_width.reduce((sum, width) => sum + width, 0);
 }
 
+// 9.3: the types of the arrays of anchors, and their numbers per anchor
+export function anchorArrays(h) {
+  const k = h.offset_count;
+  return {
+    positions: [Float32Array, 3], masks: [Uint8Array, k], features: [Float32Array, features(h)],
+    scalings: [Float32Array, 6], offsets: [Float32Array, 3 * k],
+  };
+}
+
 export function attributeChannels(h) {
   return features(h) + 6 + 3 * h.offset_count;
 }

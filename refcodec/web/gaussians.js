@@ -4,7 +4,7 @@ import { centreOf } from "./camera.js";
 import { isStatic } from "./container.js";
 import { RenderModelError } from "./errors.js";
 import { kernelOf, PIECE, VIEW } from "./kernel.js";
-import { anchorArrays, StaticRenderer } from "./splat.js";
+import { checkedArrays, StaticRenderer } from "./splat.js";
 
 // Returns the number of kept offsets before each anchor, and in total.
 function slotsOf(masks, count, offsets) {
@@ -95,7 +95,7 @@ export class Gaussians {
   }
 
   add(chunk) {
-    const arrays = anchorArrays(this.scene, chunk);
+    const arrays = checkedArrays(this.scene, chunk);
     const { count } = chunk;
     const slots = slotsOf(chunk.masks, count, this.scene.header.offset_count);
     const kept = slots[count];

@@ -1,22 +1,13 @@
 // The Gaussians of a static scene: decoded (SPEC.md 9.4), and seen from a place (14.6).
-import { RENDERING } from "./container.js";
+import { anchorArrays, RENDERING } from "./container.js";
 import { PIECE } from "./kernel.js";
 
-// The types of the anchor arrays, and their numbers per anchor, for K offsets and F features.
-const ARRAYS = {
-  positions: [Float32Array, () => 3],
-  masks: [Uint8Array, (k) => k],
-  features: [Float32Array, (k, f) => f],
-  scalings: [Float32Array, () => 6],
-  offsets: [Float32Array, (k) => 3 * k],
-};
-
 // Returns the arrays of anchors, and their widths. Throws TypeError for others.
-export function anchorArrays({ header, features }, anchors) {
+export function checkedArrays({ header }, anchors) {
   const { count } = anchors;
   if (!Number.isSafeInteger(count) || count < 0) throw new TypeError("the count of a chunk is no number of anchors");
-  return Object.entries(ARRAYS).map(([name, [type, widthOf]]) => {
-    const [array, width] = [anchors[name], widthOf(header.offset_count, features)];
+  return Object.entries(anchorArrays(header)).map(([name, [type, width]]) => {
+    const array = anchors[name];
     if (!(array instanceof type) || array.length !== count * width) {
       throw new TypeError(`${name} is no ${type.name} of ${count} x ${width} numbers`);
     }
@@ -47,7 +38,7 @@ export class Splatter {
 
   // Returns the arrays, and count, the number of Gaussians.
   splat(anchors) {
-    const arrays = anchorArrays(this.#scene, anchors);
+    const arrays = checkedArrays(this.#scene, anchors);
     const names = Object.entries(this.#widths);
     const keptOf = (masks) => masks.reduce((sum, mask) => sum + (mask !== 0 ? 1 : 0), 0);
     const whole = keptOf(anchors.masks);
