@@ -8,11 +8,14 @@ from __future__ import annotations
 import zlib
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..native.library import REFUSED_FORM, REFUSED_STEPS, kernel
+from ..native.scene import Anchors, NativeScene
 from .attributes import ATTRIBUTE_SYMBOL_MAX, Attributes, EntropyModel, code_attributes, step_indices
 from .batches import GROUP_ANCHORS, Progress, groups, no_progress, one_thread
 from .bounds import READING, Bounds
@@ -25,7 +28,7 @@ from .errors import BitstreamError
 from .frame import emit_frame, parse_frame
 from .header import Header, emit_file, parse_header, parse_prologue, read_header
 from .index import chunk_floor, emit_entry, entries_start, parse_index
-from .kernel import REFUSED_FORM, REFUSED_STEPS, Anchors, NativeScene, kernel, native_scene
+from .kernel import native_scene
 from .limits import PROFILES, dimension_fault, minimal_level
 from .masks import code_masks, mask_models
 from .networks import IntNetwork, derive_networks
@@ -127,9 +130,9 @@ class Coding:
     sarm: IntNetwork | None
     model: EntropyModel
 
-    def __init__(self, scene: Scene, exact_float: bool | None = None, block_rows: int | None = None) -> None:
-        """exact_float, block_rows: as in IntNetwork. Raises BoundError."""
-        networks = derive_networks(scene.networks, exact_float, block_rows)
+    def __init__(self, scene: Scene) -> None:
+        """Raises BoundError."""
+        networks = derive_networks(scene.networks)
         if scene.render.render_model == STATIC:
             derive_rendering(scene.networks)
         self.networks = networks
@@ -184,10 +187,10 @@ def _emit(scene: Scene, progress: Progress) -> bytes:
         path, found = f"positions[{first // 3},{first % 3}]", scene.positions.reshape(-1)[first]
         raise BitstreamError(name, 0, path, found, "finite numbers but -0")
     coding = Coding(scene)
+    make_native = partial(native_scene, used, d, lanes, coding.networks, scene.plane_shift, scene.carm_shift)
     if coding.sarm is not None:
         progress("planes", 0, 1)
-        native = native_scene(used, d, lanes, coding.networks, scene.plane_shift, scene.carm_shift)
-        contents[PLANES_SECTION] = emit_planes(scene.planes, coding.sarm, 1 << lanes.plane, native)
+        contents[PLANES_SECTION] = emit_planes(scene.planes, coding.sarm, 1 << lanes.plane, make_native())
         progress("planes", 1, 1)
     models = padded(scene.mask_model.astype("<u2").tobytes())
     if scene.position_model is not None:
@@ -195,18 +198,7 @@ def _emit(scene: Scene, progress: Progress) -> bytes:
     chunks = scene.chunks
     _check_models(scene, models)
     # The models are valid now, as the kernel requires.
-    native = native_scene(
-        used,
-        d,
-        lanes,
-        coding.networks,
-        scene.plane_shift,
-        scene.carm_shift,
-        frame=scene.frame,
-        planes=scene.planes,
-        mask_model=scene.mask_model,
-        position_model=scene.position_model,
-    )
+    native = make_native(scene.frame, scene.planes, scene.mask_model, scene.position_model)
     coded = _emit_chunks(scene, coding, chunks, progress, native)
     entries = (
         emit_entry(

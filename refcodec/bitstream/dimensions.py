@@ -81,41 +81,17 @@ class Dimensions:
 
 def dimensions_of(d: Any) -> Dimensions:
     """SPEC 5.3: returns the dimensions of a parsed struct, unchecked."""
-    return Dimensions(
-        d.offset_count,
-        tuple(d.slice_width),
-        d.plane_channels,
-        d.frequency_count,
-        d.plane_size,
-        tuple(d.hyper_width),
-        tuple(d.sarm_width),
-        tuple(d.carm_width),
-        d.render_width,
-        d.view_inputs,
-        d.colour_outputs,
-    )
+    scalars = ("offset_count", "plane_channels", "frequency_count", "plane_size", "render_width", "view_inputs")
+    widths: dict[str, Any] = {name: tuple(d[name]) for name in ("hyper_width", "sarm_width", "carm_width")}
+    own = {name: d[name] for name in (*scalars, "colour_outputs")}
+    return Dimensions(slices=tuple(d.slice_width), **widths, **own)
 
 
 def dimension_fields(d: Dimensions) -> dict[str, Any]:
     """SPEC 5.3: returns the fields of the struct, by name."""
-    return {
-        "offset_count": d.offset_count,
-        "plane_channels": d.plane_channels,
-        "frequency_count": d.frequency_count,
-        "slice_count": len(d.slices),
-        "hyper_layers": len(d.hyper_width),
-        "sarm_layers": len(d.sarm_width),
-        "carm_layers": len(d.carm_width),
-        "view_inputs": d.view_inputs,
-        "colour_outputs": d.colour_outputs,
-        "reserved": 0,
-        "plane_size": d.plane_size,
-        "render_width": d.render_width,
-        "hyper_width": d.hyper_width,
-        "sarm_width": d.sarm_width,
-        "carm_width": d.carm_width,
-        "slice_width": d.slices,
-    }
+    fields = {"slice_width": d.slices, **{name: value for name, value in vars(d).items() if name != "slices"}}
+    counts = {f"{name}_layers": len(fields[f"{name}_width"]) for name in ("hyper", "sarm", "carm")}
+    return {**fields, **counts, "slice_count": len(d.slices), "reserved": 0}
 
 
 def mask_contexts(offset_count: int) -> int:

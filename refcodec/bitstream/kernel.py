@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..native.library import REFUSED_FORM, REFUSED_STEPS, Kernel, Verdict, kernel
-from ..native.scene import Anchors, ChunkBytes, NativeScene, splats, values, weight_symbols
+from ..native.library import Kernel, Verdict
+from ..native.scene import ChunkBytes, NativeScene
 from .chunks import CodedChunk
 from .dimensions import RENDERING, Dimensions
 from .entropy import end_error, open_substream
@@ -33,7 +33,6 @@ def native_scene(
     networks: Mapping[str, IntNetwork],
     plane_shift: int,
     carm_shift: NDArray[np.uint8],
-    *,
     frame: Frame | None = None,
     planes: NDArray[np.int16] | None = None,
     mask_model: NDArray[np.uint16] | None = None,
@@ -99,21 +98,3 @@ def substream_error(verdict: Verdict, piece: Piece, lanes: int, path: str) -> Bi
     """SPEC 8.1 and 8.8: returns the error of a substream that the kernel refused. piece, path: its bytes and name."""
     stream, before = open_substream(piece, lanes, path)
     return before or end_error(_NAMES[verdict.status], stream, *verdict.number)
-
-
-__all__ = [
-    "REFUSED_FORM",
-    "REFUSED_STEPS",
-    "Anchors",
-    "Kernel",
-    "NativeScene",
-    "Verdict",
-    "chunk_bytes",
-    "error_name",
-    "kernel",
-    "native_scene",
-    "splats",
-    "substream_error",
-    "values",
-    "weight_symbols",
-]

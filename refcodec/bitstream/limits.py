@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from .dimensions import RENDER_MODELS, Dimensions, work
+from .dimensions import RENDER_MODELS, Dimensions, dimension_fields, work
 
 TINY, MAIN = 0, 1
 Bounds = tuple[int, int]
@@ -52,54 +52,39 @@ class Profile:
     levels: dict[int, Level]
 
 
-# SPEC 11.1 and 11.2.
+# SPEC 11.1: the bounds in Tiny and in Main.
+_BOUNDS: dict[str, tuple[Bounds, Bounds]] = {
+    "offset_count": ((1, 10), (1, 16)),
+    "plane_channels": ((0, 8), (0, 16)),
+    "frequency_count": ((0, 10), (0, 16)),
+    "slice_count": ((1, 4), (1, 16)),
+    "hyper_layers": ((0, 2), (0, 2)),
+    "sarm_layers": ((1, 2), (1, 2)),
+    "carm_layers": ((0, 2), (0, 2)),
+    "view_inputs": ((0, 8), (0, 8)),
+    "colour_outputs": ((1, 48), (1, 48)),
+    "plane_size": ((2, 32), (2, 1024)),
+    "render_width": ((1, 64), (1, 128)),
+    "hyper_width": ((1, 64), (1, 128)),
+    "sarm_width": ((1, 16), (1, 32)),
+    "carm_width": ((1, 64), (1, 128)),
+    "slice_width": ((1, 16), (1, 64)),
+    "chunk_size": ((1, 65536), (256, 16384)),
+}
+# SPEC 11.2
+_LEVELS = {
+    TINY: {0: Level(4096, 32, 1 << 28)},
+    MAIN: {
+        1: Level(1 << 17, 128, 1 << 33),
+        2: Level(1 << 20, 256, 1 << 36),
+        3: Level(1 << 22, 256, 1 << 38),
+        4: Level(1 << 24, 512, 1 << 41),
+        5: Level(1 << 26, 1024, 1 << 43),
+    },
+}
 PROFILES = {
-    TINY: Profile(
-        name="Tiny",
-        offset_count=(1, 10),
-        plane_channels=(0, 8),
-        frequency_count=(0, 10),
-        view_inputs=(0, 8),
-        colour_outputs=(1, 48),
-        plane_size=(2, 32),
-        render_width=(1, 64),
-        slice_count=(1, 4),
-        hyper_layers=(0, 2),
-        sarm_layers=(1, 2),
-        carm_layers=(0, 2),
-        slice_width=(1, 16),
-        hyper_width=(1, 64),
-        sarm_width=(1, 16),
-        carm_width=(1, 64),
-        chunk_size=(1, 65536),
-        levels={0: Level(4096, 32, 1 << 28)},
-    ),
-    MAIN: Profile(
-        name="Main",
-        offset_count=(1, 16),
-        plane_channels=(0, 16),
-        frequency_count=(0, 16),
-        view_inputs=(0, 8),
-        colour_outputs=(1, 48),
-        plane_size=(2, 1024),
-        render_width=(1, 128),
-        slice_count=(1, 16),
-        hyper_layers=(0, 2),
-        sarm_layers=(1, 2),
-        carm_layers=(0, 2),
-        slice_width=(1, 64),
-        hyper_width=(1, 128),
-        sarm_width=(1, 32),
-        carm_width=(1, 128),
-        chunk_size=(256, 16384),
-        levels={
-            1: Level(1 << 17, 128, 1 << 33),
-            2: Level(1 << 20, 256, 1 << 36),
-            3: Level(1 << 22, 256, 1 << 38),
-            4: Level(1 << 24, 512, 1 << 41),
-            5: Level(1 << 26, 1024, 1 << 43),
-        },
-    ),
+    number: Profile(name=name, levels=_LEVELS[number], **{field: bounds[number] for field, bounds in _BOUNDS.items()})
+    for number, name in ((TINY, "Tiny"), (MAIN, "Main"))
 }
 # SPEC 11.1: the most feature channels of an anchor.
 FEATURES_MAX = 128
@@ -112,25 +97,14 @@ def dimension_fault(profile: Profile, d: Dimensions, render_model: int) -> tuple
     """
     # SPEC 11.1: these two may also be 0, without planes, which is checked below.
     optional = ("plane_size", "sarm_layers")
-    lists = {"hyper": d.hyper_width, "sarm": d.sarm_width, "carm": d.carm_width, "slice": d.slices}
-    checks: list[tuple[str, int, str]] = [
-        ("offset_count", d.offset_count, "offset_count"),
-        ("plane_channels", d.plane_channels, "plane_channels"),
-        ("frequency_count", d.frequency_count, "frequency_count"),
-        ("slice_count", len(d.slices), "slice_count"),
-        ("hyper_layers", len(d.hyper_width), "hyper_layers"),
-        ("sarm_layers", len(d.sarm_width), "sarm_layers"),
-        ("carm_layers", len(d.carm_width), "carm_layers"),
-        ("view_inputs", d.view_inputs, "view_inputs"),
-        ("colour_outputs", d.colour_outputs, "colour_outputs"),
-        ("plane_size", d.plane_size, "plane_size"),
-        ("render_width", d.render_width, "render_width"),
-        *((f"{name}_width[{i}]", w, f"{name}_width") for name, widths in lists.items() for i, w in enumerate(widths)),
-    ]
-    for field, value, bound in checks:
-        low, high = getattr(profile, bound)
-        if not (low <= value <= high or (value == 0 and bound in optional)):
-            return field, value, f"in {profile.name} {low} to {high}"
+    fields = dimension_fields(d)
+    # The fields of Profile are in the order of 5.3.
+    for field in (name for name in vars(profile) if name in fields):
+        low, high = getattr(profile, field)
+        listed = isinstance(fields[field], tuple | list)
+        for i, value in enumerate(fields[field] if listed else [fields[field]]):
+            if not (low <= value <= high or (value == 0 and field in optional)):
+                return f"{field}[{i}]" if listed else field, value, f"in {profile.name} {low} to {high}"
     if d.features > FEATURES_MAX:
         return "slice_width", d.features, f"a sum of at most {FEATURES_MAX}"
     planes = d.plane_channels > 0

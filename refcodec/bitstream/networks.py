@@ -135,16 +135,10 @@ class IntNetwork:
         return x
 
 
-def derive_networks(
-    networks: Mapping[str, list[Layer]],
-    exact_float: bool | None = None,
-    block_rows: int | None = None,
-    names: Container[str] | None = None,
-) -> dict[str, IntNetwork]:
-    """SPEC 7.2: returns integer networks by name.
+def derive_networks(networks: Mapping[str, list[Layer]], names: Container[str] | None = None) -> dict[str, IntNetwork]:
+    """SPEC 7.2: returns integer networks by name. Raises BoundError, which names the layer.
 
-    names: those of the networks, or None for F_h, SARM and CARM. exact_float, block_rows: as in IntNetwork. Raises
-    BoundError, which names the layer.
+    names: those of the networks, or None for F_h, SARM and CARM.
     """
     found = {}
     for name, layers in networks.items():
@@ -156,7 +150,7 @@ def derive_networks(
                 derived.append(derive_layer(*layer))
             except BoundError as error:
                 raise BoundError(error.row, f"{name}.{index}") from None
-        found[name] = IntNetwork(derived, exact_float, block_rows)
+        found[name] = IntNetwork(derived)
     return found
 
 

@@ -8,12 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import accumulate
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..native.library import Verdict, kernel
+from ..native.scene import Anchors, NativeScene
 from .attributes import Attributes, EntropyModel, code_attributes, join_attributes
 from .batches import GROUP_ANCHORS, GROUP_CHUNKS, PartDecoder, Progress, no_progress, one_thread
 from .bounds import READING, Bounds, section_bytes
@@ -26,7 +28,7 @@ from .errors import BitstreamError
 from .frame import Frame, parse_frame
 from .header import Header, read_header
 from .index import ChunkEntry, Index, parse_index
-from .kernel import Anchors, NativeScene, Verdict, chunk_bytes, error_name, kernel, native_scene, substream_error
+from .kernel import chunk_bytes, error_name, native_scene, substream_error
 from .masks import code_masks, mask_models
 from .networks import BoundError, derive_networks
 from .planes import assemble_planes, no_planes, parse_planes
@@ -118,30 +120,20 @@ class Reader:
                 derive_rendering(weights.networks)
         except BoundError as error:
             raise bound_error(weights, d, error) from None
+        shifts = weights.plane_shift, weights.carm_shift
+        make_native = partial(native_scene, self._kernel, d, h.lanes, networks, *shifts)
         planes = no_planes()
         if d.plane_channels:
             section, piece = next(pieces)
             progress("planes", 0, 1)
-            native = native_scene(self._kernel, d, h.lanes, networks, weights.plane_shift, weights.carm_shift)
-            planes = parse_planes(piece, d, 1 << h.lanes.plane, networks["sarm"], self.trace, native)
+            planes = parse_planes(piece, d, 1 << h.lanes.plane, networks["sarm"], self.trace, make_native())
             progress("planes", 1, 1)
         section, piece = next(pieces)
         data = h.section(DATA)
         index = parse_index(piece, section.mode, d, h.anchor_count, h.chunk_size, data.start, data.length)
         for _ in pieces:
             raise AssertionError("a critical section follows INDX before DATA")
-        native = native_scene(
-            self._kernel,
-            d,
-            h.lanes,
-            networks,
-            weights.plane_shift,
-            weights.carm_shift,
-            frame=frame,
-            planes=planes,
-            mask_model=index.mask_model,
-            position_model=index.position_model,
-        )
+        native = make_native(frame, planes, index.mask_model, index.position_model)
         model = EntropyModel.of(networks, weights.carm_shift, d.slices)
         return Opened(self, frame, weights, planes, index, mask_models(index.mask_model), model, native)
 

@@ -11,13 +11,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..native.library import Kernel, kernel
+from ..native.scene import splats, values
 from . import syntax
 from .attributes import KINDS
 from .batches import GROUP_ANCHORS
 from .conventions import F32, f32_parts, round_to_f32
 from .dimensions import RENDERING, STATIC, dimension_fields
 from .header import render_fields
-from .kernel import Kernel, kernel, splats, values
 from .positions import position_integers
 from .scene import Scene
 from .splat import HARMONICS, Rendering, derive_rendering, splat

@@ -8,12 +8,14 @@ import construct as cs
 import numpy as np
 from numpy.typing import NDArray
 
+from ..native.library import Kernel
+from ..native.scene import weight_symbols
 from . import syntax
 from .conventions import Int64
 from .dimensions import Dimensions, layers_of
 from .entropy import Coder, Decoder, Encoder, Trace, parse_substream
 from .errors import BitstreamError
-from .kernel import Kernel, substream_error, weight_symbols
+from .kernel import substream_error
 from .networks import F32, BoundError, Layer
 from .source import Piece, pad4
 from .tables import SCALE_MIN, tables, tables_bytes

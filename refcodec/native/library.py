@@ -15,6 +15,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 from ..statuses import UsageError
 
@@ -31,48 +32,19 @@ SLICES_MAX, PARTS, PLANES, NUMBERS = 16, 3, 5, 2
 Pointer = ctypes.c_void_p
 
 
+def _fields(kind: Any, names: str) -> list[tuple[str, Any]]:
+    return [(name, kind) for name in names.split()]
+
+
 class Description(ctypes.Structure):
     """kernel.h: kernel_description."""
 
     _fields_ = (
-        *(
-            (name, ctypes.c_int32)
-            for name in (
-                "offset_count",
-                "plane_channels",
-                "plane_size",
-                "frequency_count",
-                "plane_shift",
-                "slice_count",
-            )
-        ),
+        *_fields(ctypes.c_int32, "offset_count plane_channels plane_size frequency_count plane_shift slice_count"),
         ("slice_width", ctypes.c_int32 * SLICES_MAX),
-        *(
-            (name, ctypes.c_int32)
-            for name in (
-                "hyper_layers",
-                "sarm_layers",
-                "carm_layers",
-                "plane_lanes",
-                "mask_lanes",
-                "attribute_lanes",
-                "cell_shift",
-            )
-        ),
-        *(
-            (name, Pointer)
-            for name in (
-                "shape",
-                "weight",
-                "bias",
-                "exponent",
-                "carm_shift",
-                "frame",
-                "planes",
-                "mask_model",
-                "position_model",
-            )
-        ),
+        *_fields(ctypes.c_int32, "hyper_layers sarm_layers carm_layers"),
+        *_fields(ctypes.c_int32, "plane_lanes mask_lanes attribute_lanes cell_shift"),
+        *_fields(Pointer, "shape weight bias exponent carm_shift frame planes mask_model position_model"),
     )
 
 
@@ -88,7 +60,7 @@ class Chunk(ctypes.Structure):
     _fields_ = (
         ("part", Pointer * PARTS),
         ("length", ctypes.c_uint64 * PARTS),
-        *((name, Pointer) for name in ("positions", "masks", "features", "scalings", "offsets", "steps")),
+        *_fields(Pointer, "positions masks features scalings offsets steps"),
         ("anchors", ctypes.c_uint32),
         ("kept", ctypes.c_uint32),
         ("low", ctypes.c_uint16 * 3),

@@ -126,8 +126,7 @@ class NativeScene:
 
     def anchor_bytes(self) -> int:
         """Returns the number of bytes of an anchor in the arrays of `room`."""
-        offsets, features = self._shape
-        return 2 * 3 + offsets + 4 * (features + 6 + 3 * offsets) + 3
+        return sum(array.nbytes for array in vars(self.room(1)).values())
 
     def room(self, n: int) -> Anchors:
         """Returns uninitialised arrays for n anchors."""

@@ -32,7 +32,6 @@ from refcodec.bitstream import (
     codec,
     directory,
     entropy,
-    kernel,
     planes,
     positions,
     reader,
@@ -276,7 +275,7 @@ class Library:
 def test_disagreement_is_a_fault_of_ours(use: Use, monkeypatch: pytest.MonkeyPatch, status: int) -> None:
     """Were the kernel to refuse what the checks in Python allow, there would be no verdict."""
     use("native")
-    used = kernel.kernel()
+    used = library.kernel()
     assert used is not None
 
     class Wrong(Library):
@@ -293,7 +292,7 @@ def test_disagreement_is_a_fault_of_ours(use: Use, monkeypatch: pytest.MonkeyPat
 
 def test_no_memory_is_no_verdict(use: Use, monkeypatch: pytest.MonkeyPatch) -> None:
     use("native")
-    used = kernel.kernel()
+    used = library.kernel()
     assert used is not None
 
     class Poor(Library):
@@ -310,7 +309,7 @@ def test_no_memory_is_no_verdict(use: Use, monkeypatch: pytest.MonkeyPatch) -> N
 def test_descriptions_that_are_not_allowed(use: Use) -> None:
     """The kernel takes no scene whose sizes it does not know to be small."""
     use("native")
-    used = kernel.kernel()
+    used = library.kernel()
     assert used is not None
     tables = used.library.kernel_tables_new(tables_bytes(), len(tables_bytes()))
     for field, value in (("offset_count", 17), ("plane_size", 1025), ("slice_count", 17), ("mask_lanes", 3)):
@@ -330,7 +329,7 @@ def test_descriptions_that_are_not_allowed(use: Use) -> None:
 def test_without_the_library(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr(library, "load", lambda: None)
     monkeypatch.delenv(library.PATH_VARIABLE, raising=False)
-    assert kernel.kernel() is None
+    assert library.kernel() is None
     assert verdict(FILES["one lane"]) == (reconstruction.digest(LARGE["one lane"])[0],)
     assert codec.emit(LARGE["one lane"]) == FILES["one lane"]
     assert main(["--version"]) == statuses.DONE
