@@ -1,4 +1,4 @@
-"""The manifest of the suite, vectors/manifest.json, which is checked against vectors/manifest.schema.json."""
+"""The manifest of the suite, vectors/manifest.json. vectors/manifest.schema.json states the same form for others."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
-import jsonschema
+import msgspec
+from msgspec import UNSET, Meta, UnsetType
 
 from refcodec.files.documents import DocumentError, read_json
 from refcodec.files.text import printable
@@ -17,50 +18,61 @@ from refcodec.resources import find
 # The suite that came with this package, wherever it is installed.
 VECTORS = find("vectors", Path(__file__).resolve().parent)
 MANIFEST, SCHEMA = "manifest.json", "manifest.schema.json"
-
-
-# So many characters are told of what is wrong.
+# The most characters of a fault in a message.
 _WRONG = 300
+
+Text = Annotated[str, Meta(min_length=1)]
+Name = Annotated[str, Meta(pattern=r"^[a-z0-9]+(-[a-z0-9]+)*$")]
+Requirement = Annotated[str, Meta(pattern=r"^[RDGE]([0-9]+(\.[0-9]+)*|[A-H](\.[0-9]+)*)-[0-9]+$")]
+Sha256 = Annotated[str, Meta(pattern=r"^[0-9a-f]{64}$")]
+Place = Annotated[str, Meta(pattern=r"^(valid|malformed|invalid|unsupported|resource)/[a-z0-9-]+\.(c3gs|json)$")]
+Count = Annotated[int, Meta(ge=0)]
+Positive = Annotated[int, Meta(ge=1)]
+# The parts of each scene, and that of a static one (SPEC 9.3).
+_PARTS = {"head", "positions", "masks", "planes", "features", "scalings", "offsets", "weights"}
+_MORE = {"splat"}
+Class = Literal["valid", "malformed", "invalid", "unsupported", "resource"]
+Operation = Literal["decode", "gaussians"]
 
 
 class ManifestError(Exception):
-    """A manifest breaks its schema, or contradicts itself."""
+    """A manifest is not of its form, or contradicts itself."""
 
 
-@dataclass(frozen=True)
-class Input:
+class Strict(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A JSON object without other members."""
+
+
+class Input(Strict, frozen=True):
     """The file of a vector. path: from the manifest's folder. size: in bytes. sha256: in hexadecimal."""
 
-    path: str
-    size: int
-    sha256: str
+    path: Place
+    size: Count
+    sha256: Sha256
 
 
-@dataclass(frozen=True)
-class Accepted:
+class Accepted(Strict, frozen=True, tag="accepted", tag_field="result"):
     """The file is accepted.
 
     digest: of the canonical reconstruction (SPEC 9.3). parts: the digest of each part by name, the head too. trace: the
     SHA-256 of the symbol trace.
     """
 
-    digest: str
-    parts: dict[str, str]
-    trace: str
+    digest: Sha256
+    parts: dict[str, Sha256]
+    trace: Sha256
 
 
-@dataclass(frozen=True)
-class Rejected:
+class Rejected(Strict, frozen=True, tag="rejected", tag_field="result"):
     """The file is refused with this error (SPEC 10.2)."""
 
-    code: int
-    name: str
-    offset: int
-    clause: str
+    code: Annotated[int, Meta(ge=101, le=999)]
+    name: Annotated[str, Meta(pattern=r"^[a-z]+\.[a-z_]+$")]
+    offset: Count
+    clause: Annotated[str, Meta(pattern=r"^[0-9]+(\.[0-9]+)*$")]
 
 
-@dataclass(frozen=True)
-class GaussiansOf:
+class GaussiansOf(Strict, frozen=True, tag="gaussians", tag_field="result"):
     """The Gaussians for a camera are within a tolerance of a list (SPEC 14.3).
 
     camera: a JSON object. path, sha256: those of the list. tolerance: relative to the length of the vector of each
@@ -68,43 +80,56 @@ class GaussiansOf:
     """
 
     camera: dict[str, Any]
-    path: str
-    sha256: str
-    tolerance: float
+    path: Place
+    sha256: Sha256
+    tolerance: Annotated[float, Meta(gt=0)]
 
 
-@dataclass(frozen=True)
-class Budget:
+class Budget(Strict, frozen=True):
     """The most time, in seconds, and the most memory of a process, in bytes, that a decoder may take."""
 
-    seconds: int
-    bytes: int
+    seconds: Positive
+    bytes: Positive
 
 
-@dataclass(frozen=True)
-class Vector:
+class Generator(Strict, frozen=True):
+    """The recipe that made the file."""
+
+    name: Annotated[str, Meta(pattern="^[a-z0-9_]+$")]
+    seed: Count
+
+
+class Vector(Strict, frozen=True, rename={"klass": "class"}):
     """A vector: a file, and what a decoder makes of it.
 
-    operation: "decode" or "gaussians". klass: its "class". profile, level: None if the header cannot be read.
-    minor_at_most: the verdict holds for decoders of minor versions up to this one (SPEC 12.3), or of all if it is None.
-    generator: how the file was made.
+    klass: its "class". profile, level: None if the header cannot be read. minor_at_most: the verdict holds for decoders
+    of minor versions up to this one (SPEC 12.3), or of all if it is unset.
     """
 
-    id: str
-    title: str
-    operation: str
-    klass: str
-    profile: str | None
-    level: int | None
-    features: tuple[str, ...]
-    requirements: tuple[str, ...]
-    flags: tuple[str, ...]
+    id: Name
+    title: Text
+    operation: Operation
+    klass: Class
+    profile: Literal["tiny", "main"] | None
+    level: Annotated[int, Meta(ge=0, le=5)] | None
+    features: Annotated[tuple[Name, ...], Meta(min_length=1)]
+    requirements: Annotated[tuple[Requirement, ...], Meta(min_length=1)]
+    flags: tuple[Name, ...]
     input: Input
     expectation: Accepted | Rejected | GaussiansOf
     budget: Budget
-    licence: str
-    generator: dict[str, Any]
-    minor_at_most: int | None = None
+    licence: Literal["CC0-1.0", "MIT"]
+    generator: Generator
+    minor_at_most: Annotated[int, Meta(ge=0, le=65535)] | UnsetType = UNSET
+
+
+class _Document(Strict, frozen=True):
+    suite: Literal["c3gs-conformance"]
+    suite_version: Annotated[str, Meta(pattern=r"^[0-9]+\.[0-9]+\.[0-9]+$")]
+    format_version: Literal[0]
+    flags: dict[Name, Text]
+    features: dict[Name, Text]
+    vectors: Annotated[tuple[Vector, ...], Meta(min_length=1)]
 
 
 @dataclass(frozen=True)
@@ -123,61 +148,44 @@ class Manifest:
         return self.folder / vector.input.path
 
 
-_RESULTS: dict[str, type[Accepted | Rejected | GaussiansOf]] = {
-    "accepted": Accepted,
-    "rejected": Rejected,
-    "gaussians": GaussiansOf,
-}
-
-
-def _vector(fields: dict[str, Any]) -> Vector:
-    values = {"klass" if name == "class" else name: value for name, value in fields.items()}
-    for name in ("features", "requirements", "flags"):
-        values[name] = tuple(values[name])
-    expectation = dict(values["expectation"])
-    values["expectation"] = _RESULTS[expectation.pop("result")](**expectation)
-    return Vector(**{**values, "input": Input(**values["input"]), "budget": Budget(**values["budget"])})
-
-
-def faults(document: dict[str, Any]) -> Iterator[str]:
-    """Yields the faults of a manifest that its schema cannot find."""
-    vectors = document["vectors"]
+def _faults(manifest: Manifest) -> Iterator[str]:
+    """Yields the contradictions of a manifest."""
+    vectors = manifest.vectors
     for what, values in (
-        ("id", [v["id"] for v in vectors]),
-        ("input", [v["input"]["path"] for v in vectors if v["operation"] == "decode"]),
+        ("id", [v.id for v in vectors]),
+        ("input", [v.input.path for v in vectors if v.operation == "decode"]),
     ):
         yield from (f"two vectors have the {what} {value}" for value, count in Counter(values).items() if count > 1)
     for kind in ("flags", "features"):
-        used = {name for v in vectors for name in v[kind]}
-        yield from (f"{name} is not defined in {kind}" for name in sorted(used - set(document[kind])))
-        yield from (f"no vector has {name} of {kind}" for name in sorted(set(document[kind]) - used))
+        used, known = {name for v in vectors for name in getattr(v, kind)}, set(getattr(manifest, kind))
+        yield from (f"{name} is not defined in {kind}" for name in sorted(used - known))
+        yield from (f"no vector has {name} of {kind}" for name in sorted(known - used))
     for v in vectors:
-        result, klass = v["expectation"]["result"], v["class"]
-        right = {"valid": result != "rejected", "resource": True}.get(klass, result == "rejected")
-        if not right or (result == "gaussians") != (v["operation"] == "gaussians"):
-            yield f"{v['id']}: class {klass} and operation {v['operation']} with the result {result}"
+        rejected, gaussians = isinstance(v.expectation, Rejected), isinstance(v.expectation, GaussiansOf)
+        right = {"valid": not rejected, "resource": True}.get(v.klass, rejected)
+        if not right or gaussians != (v.operation == "gaussians"):
+            yield f"{v.id}: class {v.klass} and operation {v.operation} with another result"
+        if any(len(set(names)) < len(names) for names in (v.features, v.requirements, v.flags)):
+            yield f"{v.id}: a name is repeated"
+        if isinstance(v.expectation, Accepted) and v.expectation.parts.keys() - _MORE != _PARTS:
+            yield f"{v.id}: its parts are {', '.join(v.expectation.parts)}"
+
+
+def parse(document: Any, folder: Path) -> Manifest:
+    """Returns the manifest of a JSON document. folder: of its files. Raises ManifestError."""
+    try:
+        found = msgspec.convert(document, _Document)
+    except msgspec.ValidationError as error:
+        raise ManifestError(printable(str(error), _WRONG)) from None
+    manifest = Manifest(found.suite_version, found.format_version, found.flags, found.features, found.vectors, folder)
+    for fault in _faults(manifest):
+        raise ManifestError(printable(fault, _WRONG))
+    return manifest
 
 
 def load(path: Path = VECTORS / MANIFEST) -> Manifest:
-    """Returns the manifest at a path. Its schema is the one that came with this package, of whatever suite it is.
-
-    Raises ManifestError for a fault of the manifest, and OSError if it cannot be read.
-    """
+    """Returns the manifest at a path. Raises ManifestError for a fault, and OSError if it cannot be read."""
     try:
-        document = read_json(path)
-        jsonschema.validate(document, read_json(VECTORS / SCHEMA))
-    except DocumentError as error:
+        return parse(read_json(path), path.parent)
+    except (DocumentError, ManifestError) as error:
         raise ManifestError(f"{path}: {error}") from None
-    except jsonschema.ValidationError as error:
-        text = f"{printable(error.json_path, _WRONG)}: {printable(error.message, _WRONG)}"
-        raise ManifestError(f"{path}: {text}") from None
-    for fault in faults(document):
-        raise ManifestError(f"{path}: {printable(fault, _WRONG)}")
-    return Manifest(
-        document["suite_version"],
-        document["format_version"],
-        document["flags"],
-        document["features"],
-        tuple(_vector(fields) for fields in document["vectors"]),
-        path.parent,
-    )

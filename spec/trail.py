@@ -33,7 +33,7 @@ DECODERS = {
 # What also renders and writes files.
 RENDERS = WRITES = ("refcodec",)
 # The test that has a case for each error.
-FAULTS = ("tests/conformance/test_spec_decoder.py", "test_fault")
+FAULTS = ("tests/conformance/test_decoders.py", "test_fault")
 
 
 @dataclass(frozen=True, order=True)

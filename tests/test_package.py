@@ -21,7 +21,6 @@ from packaging.utils import canonicalize_name
 ROOT = Path(__file__).resolve().parents[1]
 # Licences of packages that are often not installed, or whose metadata is ambiguous.
 LICENCES = {
-    "atheris": "Apache-2.0",
     "bjontegaard": "BSD-3-Clause",
     # Its classifiers name the GPL too, which applies to an Emacs mode that the wheel does not contain.
     "docutils": "LicenseRef-Public-Domain AND BSD-2-Clause",

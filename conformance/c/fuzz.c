@@ -6,7 +6,10 @@
  *
  * The mutator changes a part of a file, keeps lengths right and repairs the CRC-32s, so that changes reach later
  * checks. C3GS_TABLES names the tables. With REPLAY defined it is a program that runs the files of its arguments, for a
- * compiler without libFuzzer. conformance/fuzz/compiled.py builds it.
+ * compiler without libFuzzer.
+ *
+ *    clang -std=gnu11 -g -O1 -ffp-contract=off -fno-math-errno -DKERNEL_THREADS=0 -fsanitize=fuzzer,address,undefined
+ *      -fno-sanitize-recover=all conformance/c/fuzz.c refcodec/native/kernel.c refcodec/native/splat.c -lm -o fuzz
  */
 #define _XOPEN_SOURCE 700
 #include <setjmp.h>

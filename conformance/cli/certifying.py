@@ -21,6 +21,7 @@ from ..registry.implementations import Implementation
 from ..report import record as records
 from ..report import summary
 from ..report.audit import audit
+from ..report.schema import Description
 from ..runner.run import Options, run
 from .errors import UsageError, note
 from .shared import add_vectors, check_files, positive, suite
@@ -88,9 +89,8 @@ def _report(implementation: Implementation, manifest: Manifest, arguments: argpa
     check_files(manifest, "the suite was changed while the decoder ran, so no report:")
     if done.interrupted:
         return statuses.INTERRUPTED
-    about = records.About(implementation.description, (), started, time.monotonic() - began)
+    about = records.About(Description(**implementation.description), (), started, time.monotonic() - began)
     record = records.build(manifest, options, about, done)
-    records.check(record)
     audit(record, manifest)
     path = arguments.folder / decoder["report"]
     with Stage() as stage:

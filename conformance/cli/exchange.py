@@ -1,4 +1,4 @@
-"""The commands for other programs: `export` for another runner, `check-encoder` for another encoder."""
+"""The command `check-encoder`, which judges the files of another encoder."""
 
 from __future__ import annotations
 
@@ -10,17 +10,8 @@ from typing import Any
 from refcodec import statuses
 from refcodec.files.text import printable
 
-from ..runner import encoders, fluster
+from ..runner import encoders
 from .errors import UsageError
-from .shared import add_vectors, suite
-
-
-def export_suite(arguments: argparse.Namespace) -> int:
-    """Runs `conformance export`; returns its exit status. Raises the errors of `status_of`."""
-    count = fluster.export(suite(arguments.vectors), arguments.fluster)
-    guide = printable(str(arguments.fluster / fluster.README))
-    print(f"{printable(str(arguments.fluster))}: {count} vectors; {guide} explains their use")
-    return statuses.DONE
 
 
 def check_encoder(arguments: argparse.Namespace) -> int:
@@ -47,13 +38,7 @@ def _sha256(text: str) -> str:
 
 
 def add(commands: Any) -> None:
-    """Adds the commands to the parser."""
-    export = commands.add_parser("export", help="write the valid vectors as a suite of another runner")
-    add_vectors(export)
-    export.add_argument(
-        "--fluster", type=Path, required=True, metavar="DIR", help="for Fluster, with the script that runs it"
-    )
-    export.set_defaults(run=export_suite)
+    """Adds the command to the parser."""
     encoder = commands.add_parser(
         "check-encoder", help="judge the files of another encoder: valid, canonical, the same result from both decoders"
     )

@@ -1,4 +1,4 @@
-"""The commands for maintenance of the suite: `generate`, `fuzz`, `fuzz-c` and `selftest`."""
+"""The commands for maintenance of the suite: `generate`, `fuzz` and `selftest`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from typing import Any
 from refcodec.files.outputs import Kind
 
 from ..manifest import MANIFEST, VECTORS
-from .errors import UsageError
 from .shared import check_template, positive
 
 # The output of --matrix: planted bugs, each with the vectors that catch it.
@@ -20,26 +19,11 @@ MATRIX = Kind("a matrix of this command", re.compile(rb'\{\n "[^"\n]+": (\{\}|\{
 
 def _fuzz(arguments: argparse.Namespace) -> int:
     # hypothesis is in the extra `test`, and slow to import.
-    from ..fuzz.compare import StateError, run  # noqa: PLC0415
+    from ..fuzz.compare import run  # noqa: PLC0415
 
     if arguments.command:
         check_template(arguments.command, ["input", "output"])
-    try:
-        return run(arguments.count, arguments.seed, arguments.jobs, arguments.state, arguments.keep, arguments.command)
-    except StateError as error:
-        raise UsageError(str(error)) from None
-
-
-def _fuzz_c(arguments: argparse.Namespace) -> int:
-    from ..fuzz.compiled import CompilerError, minimise, run  # noqa: PLC0415
-
-    try:
-        if arguments.minimise:
-            minimise(arguments.state)
-            return 0
-        return run(arguments.hours, arguments.state, VECTORS)
-    except CompilerError as error:
-        raise UsageError(str(error)) from None
+    return run(arguments.count, arguments.seed, arguments.jobs, arguments.keep, arguments.command)
 
 
 def _generate(arguments: argparse.Namespace) -> int:
@@ -93,15 +77,9 @@ def _add_fuzz(commands: Any) -> None:
     fuzz.add_argument(
         "-n", "--count", type=positive, default=1000, help="number of valid and invalid files (default 1000)"
     )
-    fuzz.add_argument("--seed", type=int, default=0, help="seed of the files (default 0)")
+    fuzz.add_argument("--seed", type=int, default=0, help="number of the first batch of files (default 0)")
     fuzz.add_argument(
         "--jobs", type=positive, default=os.cpu_count() or 1, help="number of processes (default: one for each core)"
-    )
-    fuzz.add_argument(
-        "--state",
-        type=Path,
-        default=Path("out/fuzz.json"),
-        help="state of the run, which a later run continues",
     )
     fuzz.add_argument(
         "--keep", type=Path, default=Path("out/fuzz"), help="folder for files on which the decoders disagree"
@@ -112,33 +90,8 @@ def _add_fuzz(commands: Any) -> None:
     fuzz.set_defaults(run=_fuzz)
 
 
-def _hours(text: str) -> float:
-    """Returns an argument that is a number of hours. Raises ArgumentTypeError."""
-    hours = float(text)
-    if not 0 < hours < 10000:
-        raise argparse.ArgumentTypeError("must be above 0 and below 10000")
-    return hours
-
-
-def _add_fuzz_c(commands: Any) -> None:
-    fuzz_c = commands.add_parser(
-        "fuzz-c", help="fuzz the decoder in C and the native kernel, guided by coverage; this needs clang"
-    )
-    fuzz_c.add_argument("--hours", type=_hours, default=1.0, help="wall time of this run (default 1)")
-    fuzz_c.add_argument(
-        "--state",
-        type=Path,
-        default=Path("out/fuzz-c"),
-        metavar="DIR",
-        help="program, inputs, failures and log, which a later run continues (default: out/fuzz-c)",
-    )
-    fuzz_c.add_argument("--minimise", action="store_true", help="only remove inputs that reach nothing new")
-    fuzz_c.set_defaults(run=_fuzz_c)
-
-
 def add(commands: Any) -> None:
     """Adds the commands to the parser."""
     _add_fuzz(commands)
-    _add_fuzz_c(commands)
     _add_generate(commands)
     _add_selftest(commands)

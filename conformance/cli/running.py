@@ -9,6 +9,7 @@ import re
 import shlex
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from refcodec.files.text import printable
 from ..manifest import Manifest, ManifestError
 from ..report import junit, page, summary
 from ..report import record as records
+from ..report.schema import Record
 from ..runner import selection
 from ..runner.grading import GRADE_CODE, GRADE_EXACT
 from ..runner.run import Options, Run, run
@@ -92,7 +94,7 @@ def _check_report(arguments: argparse.Namespace) -> None:
         check_file(path, kind, made=True)
 
 
-def _write(folder: Path, record: dict[str, Any]) -> None:
+def _write(folder: Path, record: Record) -> None:
     contents = (records.text(record), junit.document(record), page.document(record))
     with Stage() as stage:
         for name, text in zip(REPORTS, contents, strict=True):
@@ -115,12 +117,9 @@ def run_command(arguments: argparse.Namespace) -> int:
         _check_report(arguments)
     started, began = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"), time.monotonic()
     done = run(manifest, vectors, options, known, show=sys.stderr.isatty())
-    for text in done.left:
-        note(f"a folder of a decoder could not be removed: {text}")
     check_files(manifest, "the suite was changed while the decoder ran, so no verdict:")
     about = records.About(description, tuple(arguments.select), started, time.monotonic() - began)
     record = records.build(manifest, options, about, done)
-    records.check(record)
     if arguments.report:
         _write(arguments.report, record)
     for line in summary.lines(record, manifest.folder):
@@ -133,7 +132,7 @@ def run_command(arguments: argparse.Namespace) -> int:
 def _status(done: Run) -> int:
     if done.interrupted:
         return statuses.INTERRUPTED
-    if not all(r.good for r in done.results):
+    if not all(r.is_good for r in done.results):
         return statuses.REJECTED
     return statuses.DONE if any(r.status != "skipped" for r in done.results) else statuses.NOTHING
 
@@ -142,53 +141,47 @@ def _shown(value: object) -> str:
     return printable(str(value), 300)
 
 
-def _differences(old: dict[str, Any], new: dict[str, Any]) -> list[str]:
-    """Returns the differences between a record and a new run of its vectors."""
-    concluded = [
-        name for name in ("verdict", "profiles", "requirements", "features") if old[name] != new["concluded"][name]
-    ]
-    wrong = [f"{name} does not follow from the record's vectors" for name in concluded]
-    again = {v["id"]: v for v in new["vectors"]}
-    for v in old["vectors"]:
-        now = again[v["id"]]
+def _differences(old: Record, new: Record, concluded: dict[str, Any]) -> Iterator[str]:
+    """Yields the differences between a record and a new run of its vectors. concluded: what follows from the record."""
+    for name, value in concluded.items():
+        if getattr(old, name) != value:
+            yield f"{name} does not follow from the record's vectors"
+    again = {v.id: v for v in new.vectors}
+    for v in old.vectors:
         for name in ("status", "grade", "found"):
-            if v[name] != now[name]:
-                wrong.append(f"{v['id']}: {name} is {_shown(now[name])} now, {_shown(v[name])} in the report")
+            stated, now = getattr(v, name), getattr(again[v.id], name)
+            if stated != now:
+                yield f"{v.id}: {name} is {_shown(now)} now, {_shown(stated)} in the report"
                 break
-    return wrong
 
 
 def verify_report(arguments: argparse.Namespace) -> int:
     """Runs `conformance verify-report`; returns its exit status. Raises the errors of `status_of`."""
-    old = records.load(arguments.report)
-    manifest = suite(arguments.vectors)
-    if old["suite"]["manifest_sha256"] != records.manifest_digest(manifest):
+    old, manifest = records.load(arguments.report), suite(arguments.vectors)
+    if old.suite.manifest_sha256 != records.manifest_digest(manifest):
         raise ManifestError(
-            f"{arguments.report} is of another suite, {_shown(old['suite']['version'])}, "
-            "whose manifest has another SHA-256"
+            f"{arguments.report} is of another suite, {_shown(old.suite.version)}, whose manifest has another SHA-256"
         )
-    stated = old["runner"]
-    arguments.grade, arguments.trace, arguments.serve = stated["grade"], stated["trace"], stated["serve"]
+    stated = old.runner
+    arguments.grade, arguments.trace, arguments.serve = stated.grade, stated.trace, stated.serve
     options = _options(arguments)
     by_id = {v.id: v for v in manifest.vectors}
-    names = [v["id"] for v in old["vectors"]]
+    names = [v.id for v in old.vectors]
     if len(set(names)) != len(names) or not set(names) <= set(by_id):
         raise records.RecordError(f"{arguments.report}: unknown or repeated vectors")
     if not names:
         note("the report has no vector")
         return statuses.NOTHING
-    known = [v["id"] for v in old["vectors"] if v["status"] in ("known", "unexpected")]
+    known = [v.id for v in old.vectors if v.status in ("known", "unexpected")]
     done = run(manifest, [by_id[name] for name in names], options, known, show=sys.stderr.isatty())
     check_files(manifest, "the suite was changed while the decoder ran, so no verdict:")
     if done.interrupted:
         return statuses.INTERRUPTED
-    description = old["decoder"]["description"]
-    new = records.build(manifest, options, records.About(description, (), stated["started"], 0), done)
-    groups = {v.id: new["suite"]["vectors"][v.id] for v in manifest.vectors}
-    wrong = _differences(old, {**new, "concluded": records.conclusions(groups, old["vectors"], manifest)})
+    new = records.build(manifest, options, records.About(old.decoder.description, (), stated.started, 0), done)
+    wrong = list(_differences(old, new, records.conclusions(new.suite.vectors, old.vectors, manifest)))
     for line in wrong:
         print(line)
-    partial = ", of an interrupted run" if stated["interrupted"] else ""
+    partial = ", of an interrupted run" if stated.interrupted else ""
     print(f"{printable(str(arguments.report))}: {len(names)} vectors run again, {len(wrong)} differences{partial}")
     return statuses.REJECTED if wrong else statuses.DONE
 

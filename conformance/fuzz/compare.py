@@ -9,7 +9,6 @@ of the native kernel.
 from __future__ import annotations
 
 import hashlib
-import json
 import multiprocessing
 import os
 import resource
@@ -18,12 +17,12 @@ import sys
 import threading
 import time
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
-from typing import Any
+from unittest import mock
 
 from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
@@ -32,9 +31,6 @@ from tqdm import tqdm
 from refcodec.bitstream import codec, reconstruction
 from refcodec.bitstream.errors import BitstreamError
 from refcodec.bitstream.scene import Scene
-from refcodec.files.documents import DocumentError, read_json
-from refcodec.files.lock import hold_file
-from refcodec.files.present import NotAFileError, is_there
 from refcodec.files.stage import write_file
 from refcodec.native import library
 
@@ -71,17 +67,10 @@ def first_verdict(data: bytes) -> Verdict:
 
 
 @contextmanager
-def _path(name: str) -> Iterator[None]:
+def on_path(name: str) -> Iterator[None]:
     """Selects a path of refcodec in this process."""
-    before = os.environ.get(library.PATH_VARIABLE)
-    os.environ[library.PATH_VARIABLE] = name
-    try:
+    with mock.patch.dict(os.environ, {library.PATH_VARIABLE: name}):
         yield
-    finally:
-        if before is None:
-            del os.environ[library.PATH_VARIABLE]
-        else:
-            os.environ[library.PATH_VARIABLE] = before
 
 
 def _paths() -> list[str]:
@@ -92,7 +81,7 @@ def _paths() -> list[str]:
 def _faulty_path(data: bytes, first: Verdict) -> str | None:
     """Returns the fault of a path of refcodec, or None. first: the verdict of NumPy."""
     for name in _paths():
-        with _path(name), _limited(FILE_SECONDS):
+        with on_path(name), _limited(FILE_SECONDS):
             scene, verdict = _decoded(data)
             if verdict != first:
                 return f"refcodec says {first} by NumPy, and {verdict} by {name}"
@@ -113,10 +102,6 @@ class BudgetError(Exception):
     """A decoder exceeded its time limit."""
 
 
-class StateError(Exception):
-    """The file is not a state of this command, or belongs to another run."""
-
-
 class AnswerError(Exception):
     """The output of a process is neither an acceptance nor a refusal."""
 
@@ -132,24 +117,15 @@ def _unlimited() -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
 
 
-@cache
-def _watcher() -> process.Watcher:
-    """Returns the watcher of this process, which ends with it."""
-    return process.Watcher()
-
-
 def command_verdict(command: Sequence[str], data: bytes) -> Verdict:
     """Returns the verdict of a decoder in a separate process, with the interface of `conformance run`.
 
     Raises AnswerError.
     """
-    with closing(Folder()) as folder, _unlimited():
-        folder.put(data)
+    with closing(Folder(data)) as folder, _unlimited():
         words = process.fill(command, {"input": folder.input, "output": folder.output})
-        ended = _watcher().run(words, FILE_SECONDS, PROCESS_BYTES, threading.Event(), folder)
-        found, damage = grading.read(ended, folder.output), folder.fault()
-    if damage:
-        raise AnswerError(f"a crash: {damage}")
+        bounds = process.Bounds(FILE_SECONDS, PROCESS_BYTES, folder, threading.Event())
+        found = grading.read(process.Watcher().run(words, bounds), folder.output)
     if found.result == "accepted":
         return str(found.digest), -1
     if found.result == "crashed":
@@ -188,7 +164,7 @@ def compare(data: bytes, expected: Verdict | None = None, command: Sequence[str]
     verdicts = []
     for decoder in (first_verdict, second_verdict):
         try:
-            with _path(library.NUMPY), _limited(FILE_SECONDS):
+            with on_path(library.NUMPY), _limited(FILE_SECONDS):
                 verdicts.append(decoder(data))
         except Exception as error:  # any failure is a finding
             return ("crash", 0), f"{decoder.__name__}: {type(error).__name__}: {error}"
@@ -287,79 +263,41 @@ def _start_worker() -> None:
     resource.setrlimit(resource.RLIMIT_AS, (WORKER_BYTES, resource.getrlimit(resource.RLIMIT_AS)[1]))
 
 
-def _load(state: Path, first_seed: int, command: Sequence[str]) -> tuple[set[int], Counter[str], int]:
-    """Returns finished batches, files by verdict, and disagreements of an earlier run. Raises OSError, StateError."""
-    try:
-        if not is_there(state):
-            return set(), Counter(), 0
-        saved = read_json(state)
-    except (DocumentError, NotAFileError) as error:
-        raise StateError(f"{state} is no state of this command ({error}): give another --state") from None
-    if not _is_state(saved):
-        raise StateError(f"{state} is no state of this command: give another --state")
-    if saved["seed"] != first_seed:
-        raise StateError(f"{state} is of seed {saved['seed']}: give --seed {saved['seed']}, or another --state")
-    if saved["command"] != list(command):
-        raise StateError(f"{state} is of another decoder: give another --state")
-    return set(saved["batches"]), Counter(saved["seen"]), saved["wrong"]
-
-
-def _is_state(saved: Any) -> bool:
-    """Whether a JSON value has the form that `run` writes."""
-
-    def are(kind: type, values: Iterable[Any]) -> bool:
-        return all(type(value) is kind for value in values)
-
-    if not isinstance(saved, dict) or set(saved) != {"seed", "command", "batches", "seen", "wrong"}:
-        return False
-    if not are(int, (saved["seed"], saved["wrong"])) or not are(list, (saved["command"], saved["batches"])):
-        return False
-    if not isinstance(saved["seen"], dict):
-        return False
-    return are(str, saved["command"]) and are(int, (*saved["batches"], *saved["seen"].values()))
-
-
-def run(count: int, first_seed: int, jobs: int, state: Path, keep: Path, command: Sequence[str]) -> int:
+def run(count: int, first: int, jobs: int, keep: Path, command: Sequence[str]) -> int:
     """Compares the decoders on at least `count` files, in `jobs` processes. Returns 1 if they disagree on any, else 0.
 
-    state: the file with finished batches, from which an interrupted run continues. keep: the folder for files on which
-    the decoders disagree. command: of another decoder, with {input} and {output}, or empty.
+    Args:
+        count: number of files.
+        first: number of the first batch. A run that was interrupted prints the number from which another continues.
+        jobs: number of processes.
+        keep: folder for files on which the decoders disagree.
+        command: of another decoder, with {input} and {output}, or empty.
     """
-    with hold_file(state.with_name(state.name + ".lock")):
-        return _run(count, first_seed, jobs, state, keep, command)
-
-
-def _run(count: int, first_seed: int, jobs: int, state: Path, keep: Path, command: Sequence[str]) -> int:
-    done, seen, wrong = _load(state, first_seed, command)
-    # Scenes without a place for a drawn fault give fewer files. Batches start only as needed.
+    seen, wrong, began = Counter[str](), 0, time.monotonic()
+    # Scenes without a place for a drawn fault give fewer files.
     least = BATCH_SCENES * FILES_OF_A_SCENE * 3 // 4
-    batches = [first_seed + i for i in range(-(-count // least)) if first_seed + i not in done]
-    began = time.monotonic()
-    bar = tqdm(total=count, initial=min(count, sum(seen.values())), unit="file", file=sys.stderr)
+    batches = range(first, first + -(-count // least))
+    bar = tqdm(total=count, unit="file", file=sys.stderr)
     with multiprocessing.get_context("spawn").Pool(jobs, _start_worker) as pool, bar:
-        for number, found in zip(batches, pool.imap(partial(run_batch, command=command), batches), strict=False):
-            done.add(number)
-            seen += found.seen
-            bar.update(min(sum(found.seen.values()), bar.total - bar.n))
-            for text, data in found.wrong:
-                wrong += 1
-                # The name depends on the content, so that files of other runs are not replaced.
-                path = keep / f"{number}-{hashlib.sha256(data).hexdigest()[:12]}.c3gs"
-                write_file(path, data)
-                see = f"refcodec inspect {path} --hex; python -m conformance.spec_decoder validate {path}"
-                print(f"{path}: {text}\n  to see it: {see}")
-            saved = {
-                "seed": first_seed,
-                "command": list(command),
-                "batches": sorted(done),
-                "seen": seen,
-                "wrong": wrong,
-            }
-            write_file(state, json.dumps(saved).encode())
-            if sum(seen.values()) >= count:
-                break
+        try:
+            for number, found in zip(batches, pool.imap(partial(run_batch, command=command), batches), strict=True):
+                first = number + 1
+                seen += found.seen
+                bar.update(min(sum(found.seen.values()), bar.total - bar.n))
+                for text, data in found.wrong:
+                    wrong += 1
+                    # The name depends on the content, so that files of other runs are not replaced.
+                    path = keep / f"{number}-{hashlib.sha256(data).hexdigest()[:12]}.c3gs"
+                    write_file(path, data)
+                    see = f"refcodec inspect {path} --hex; python -m conformance.spec_decoder validate {path}"
+                    print(f"{path}: {text}\n  to see it: {see}")
+                if sum(seen.values()) >= count:
+                    break
+        except KeyboardInterrupt:
+            print(f"interrupted: --seed {first} continues", file=sys.stderr)
+            raise
     took = f"{time.monotonic() - began:.0f} s with {jobs} processes"
-    print(f"{sum(seen.values())} files, {wrong} disagreements, {took}; verdicts:")
+    print(f"{sum(seen.values())} files, {wrong} disagreements, {took}; the next seed is {first}; verdicts:")
     for name, number in seen.most_common():
         print(f"  {name:<26} {number:>7}")
     return 1 if wrong else 0

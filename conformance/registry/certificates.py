@@ -8,11 +8,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from msgspec import to_builtins
+
 from refcodec.files.documents import DocumentError, read_json
 
 from ..manifest import Manifest
 from ..report import record as records
 from ..report.audit import audit
+from ..report.schema import Record
 from ..runner.grading import GRADE_EXACT
 from .implementations import Implementation
 from .matrix import Matrix, is_right
@@ -41,12 +44,12 @@ class Certificate:
         return f"{self.implementation.key}{'.encoder' if self.side == 'encoder' else ''}.svg"
 
 
-def words(record: dict[str, Any]) -> str:
+def words(record: Record) -> str:
     """Returns the profiles and levels that a record's decoder conforms to, such as `tiny 0, main 1-5, drawing`."""
     found = []
-    for profile in dict.fromkeys(row["profile"] for row in record["profiles"]):
-        rows = [row for row in record["profiles"] if row["profile"] == profile and row["verdict"] == "conforms"]
-        levels = [row["level"] for row in rows]
+    for profile in dict.fromkeys(row.profile for row in record.profiles):
+        rows = [row for row in record.profiles if row.profile == profile and row.verdict == "conforms"]
+        levels = [row.level for row in rows]
         if profile == "rendering":
             found += ["drawing"] if rows else []
         elif levels:
@@ -54,8 +57,8 @@ def words(record: dict[str, Any]) -> str:
     if found:
         return ", ".join(found)
     # A decoder may claim a lower grade (SPEC.md 15.4).
-    wrong = sum(v["grade"] < GRADE_EXACT for v in record["vectors"] if v["found"] is not None)
-    return f"grade {record['verdict']['grade']}" if record["verdict"]["grade"] else f"fails {wrong}"
+    wrong = sum(v.grade < GRADE_EXACT for v in record.vectors if v.found is not None)
+    return f"grade {record.verdict.grade}" if record.verdict.grade else f"fails {wrong}"
 
 
 def read_history(folder: Path) -> list[dict[str, Any]]:
@@ -87,16 +90,16 @@ def of_decoder(
     """
     path = folder / implementation.decoder["report"]
     try:
-        record = records.read(path)
+        document = records.read(path)
     except FileNotFoundError:
         return Certificate(implementation, "decoder", "no report", None)
     except DocumentError as error:
         raise records.RecordError(f"{path}: {error}") from None
     mine = [entry for entry in history if entry["implementation"] == implementation.key]
     try:
-        if mine and _is_earlier(record, mine[-1], manifest):
+        if mine and _is_earlier(document, mine[-1], manifest):
             return Certificate(implementation, "decoder", f"{mine[-1]['verdict']} (earlier)", None, mine[-1])
-        records.check(record)
+        record = records.check(document)
         audit(record, manifest)
         _check_whose(record, implementation)
     except records.RecordError as error:
@@ -105,15 +108,15 @@ def of_decoder(
         "implementation": implementation.key,
         "version": implementation.version,
         "suite_version": manifest.suite_version,
-        "manifest_sha256": record["suite"]["manifest_sha256"],
-        "report_sha256": record["sha256"],
-        "started": record["runner"]["started"],
+        "manifest_sha256": record.suite.manifest_sha256,
+        "report_sha256": record.sha256,
+        "started": record.runner.started,
         "verdict": words(record),
     }
     if mine[-1:] != [entry]:
         history.append(entry)
     good = not entry["verdict"].startswith("fails")
-    return Certificate(implementation, "decoder", entry["verdict"], good, entry, record["decoder"]["files"])
+    return Certificate(implementation, "decoder", entry["verdict"], good, entry, record.decoder.files)
 
 
 def _is_earlier(record: Any, last: dict[str, Any], manifest: Manifest) -> bool:
@@ -125,13 +128,13 @@ def _is_earlier(record: Any, last: dict[str, Any], manifest: Manifest) -> bool:
     )
 
 
-def _check_whose(record: dict[str, Any], implementation: Implementation) -> None:
+def _check_whose(record: Record, implementation: Implementation) -> None:
     """Raises RecordError for a report of another program than that of the TOML file."""
     gaussians = implementation.decoder.get("gaussians")
     for name, stated, wanted in (
-        ("description", record["decoder"]["description"], implementation.description),
-        ("command", record["decoder"]["command"], implementation.command),
-        ("command for Gaussians", record["decoder"]["gaussians"], gaussians and shlex.split(gaussians)),
+        ("description", to_builtins(record.decoder.description), implementation.description),
+        ("command", record.decoder.command, tuple(implementation.command)),
+        ("command for Gaussians", record.decoder.gaussians, gaussians and tuple(shlex.split(gaussians))),
     ):
         if stated != wanted:
             raise records.RecordError(

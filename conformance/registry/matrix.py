@@ -147,10 +147,9 @@ def _answer(found: Found) -> str:
 
 def _decoded(command: str, file: Path) -> str:
     """Returns a decoder's answer to a file, within the runner's bounds."""
-    with closing(process.Watcher()) as watcher, closing(Folder()) as folder:
-        folder.put(file.read_bytes())
+    with closing(Folder(file.read_bytes())) as folder:
         words = process.fill(shlex.split(command), {"input": folder.input, "output": folder.output})
-        ended = watcher.run(words, _SECONDS, _MEMORY, threading.Event(), folder)
+        ended = process.Watcher().run(words, process.Bounds(_SECONDS, _MEMORY, folder, threading.Event()))
         return _answer(read(ended, folder.output))
 
 

@@ -10,14 +10,13 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from math import sqrt
-from typing import Any
 
 from refcodec.inspect import specification
 from refcodec.inspect.specification import clause_of
 
-from ..runner.traces import Probe
+from ..runner.run import Digest, Result
+from .schema import Diagnosis, Suspect, WrongNumber
 
 # The numbers of clauses and requirements in a diagnosis.
 _CLAUSES, _REQUIREMENTS = 3, 5
@@ -25,16 +24,6 @@ _CLAUSES, _REQUIREMENTS = 3, 5
 _ENOUGH = 300
 # A marked line of annotated bytes, where a decoder stopped. The group is the part of the file.
 _SPOT = re.compile(r"> [0-9a-f]+ +(?:[0-9a-f]{2} )+(?:\.\.\. )? +([a-z_]+)")
-
-
-@dataclass(frozen=True)
-class Suspect:
-    """A requirement. score: Ochiai's coefficient. failing, passing: the number of its vectors."""
-
-    requirement: str
-    score: float
-    failing: int
-    passing: int
 
 
 def suspects(purposes: Mapping[str, Iterable[str]], failing: Mapping[str, bool]) -> list[Suspect]:
@@ -46,7 +35,9 @@ def suspects(purposes: Mapping[str, Iterable[str]], failing: Mapping[str, bool])
     for name, failed in failing.items():
         (fails if failed else passes).update(purposes.get(name, ()))
     total = sum(failing.values())
-    ranked = [Suspect(r, a / sqrt(total * (a + passes[r])), a, passes[r]) for r, a in fails.items()]
+    own = specification.own_requirements()
+    texts = {name: own[name].text if name in own else "" for name in fails}
+    ranked = [Suspect(r, a / sqrt(total * (a + passes[r])), a, passes[r], texts[r]) for r, a in fails.items()]
     return sorted(ranked, key=lambda s: (-s.score, s.requirement))
 
 
@@ -61,29 +52,22 @@ def _named(clause: str) -> str:
     return f"{clause} ({title})" if title else clause
 
 
-def _probes(entries: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+def _probes(results: Sequence[Result]) -> list[WrongNumber]:
     """Returns the clauses of the first wrong numbers by descending number of vectors, with the simplest vector."""
-    by_clause: dict[str, list[dict[str, Any]]] = {}
-    for entry in sorted((e for e in entries if e["probe"]), key=lambda e: len(e["requirements"])):
-        by_clause.setdefault(entry["probe"]["clauses"][0], []).append(entry)
-    return [
-        {
-            "clause": clause,
-            "title": _title(clause),
-            "vectors": len(wrong),
-            "vector": wrong[0]["id"],
-            "text": Probe(**{**wrong[0]["probe"], "clauses": tuple(wrong[0]["probe"]["clauses"])}).text(),
-        }
-        for clause, wrong in sorted(by_clause.items(), key=lambda item: -len(item[1]))
-    ]
+    by_clause: dict[str, list[tuple[str, str]]] = {}
+    for r in sorted(results, key=lambda r: len(r.requirements)):
+        if r.probe:
+            by_clause.setdefault(r.probe.clauses[0], []).append((r.id, r.probe.text()))
+    found = [WrongNumber(clause, _title(clause), len(wrong), *wrong[0]) for clause, wrong in by_clause.items()]
+    return sorted(found, key=lambda row: -row.vectors)
 
 
-def _probe_lines(probes: list[dict[str, Any]]) -> Iterable[str]:
-    total = sum(row["vectors"] for row in probes)
+def _probe_lines(probes: list[WrongNumber]) -> Iterable[str]:
+    total = sum(row.vectors for row in probes)
     for row in probes[:_CLAUSES]:
-        yield row["text"]
-        share = f"{row['vectors']} of {total} vectors with a wrong number"
-        yield f"  read {_named(row['clause'])}; {share}, such as {row['vector']}"
+        yield row.text
+        share = f"{row.vectors} of {total} vectors with a wrong number"
+        yield f"  read {_named(row.clause)}; {share}, such as {row.vector}"
 
 
 def _suspect_lines(ranked: list[Suspect], failing: int, run: int) -> Iterable[str]:
@@ -95,39 +79,25 @@ def _suspect_lines(ranked: list[Suspect], failing: int, run: int) -> Iterable[st
         yield "  run the whole suite: few vectors do not separate requirements"
 
 
-def _refusal_lines(entries: Sequence[dict[str, Any]]) -> Iterable[str]:
+def _refusal_lines(results: Sequence[Result]) -> Iterable[str]:
     """Yields a line with the parts of valid files in which the decoder stops. Its fault is there or just before."""
-    refused = [
-        e
-        for e in entries
-        if e["found"] and e["found"]["result"] == "rejected" and e["expected"]["result"] == "accepted"
-    ]
-    counts = Counter(spot[1] for e in refused for line in e["hex"] if (spot := _SPOT.match(line)))
+    refused = [r for r in results if r.found and r.found.result == "rejected" and isinstance(r.expected, Digest)]
+    counts = Counter(spot[1] for r in refused for line in r.hex if (spot := _SPOT.match(line)))
     if counts:
         parts = ", ".join(f"{part} ({count})" for part, count in counts.most_common())
         yield f"  the decoder refuses {len(refused)} valid files, in their {parts}"
 
 
-def of_record(entries: Sequence[dict[str, Any]]) -> dict[str, Any] | None:
-    """Returns the diagnosis of a record's entries as JSON, None if no vector failed.
+def of_results(results: Sequence[Result]) -> Diagnosis | None:
+    """Returns the diagnosis of a run, None if no vector failed.
 
     A wrong number shows that its clause is broken. Without one, requirements are listed.
     """
-    failing = {e["id"]: e["status"] != "passed" for e in entries if e["status"] not in ("skipped", "unexpected")}
-    if not any(failing.values()):
-        return None
-    ranked = suspects({e["id"]: e["requirements"] for e in entries}, failing)[:_REQUIREMENTS]
-    probes = _probes(entries)
+    failing = {r.id: r.status != "passed" for r in results if r.status not in ("skipped", "unexpected")}
     count = sum(failing.values())
+    if not count:
+        return None
+    ranked = suspects({r.id: r.requirements for r in results}, failing)[:_REQUIREMENTS]
+    probes = _probes(results)
     lines = _probe_lines(probes) if probes else _suspect_lines(ranked, count, len(failing))
-    own = specification.own_requirements()
-    return {
-        "failing": count,
-        "passing": len(failing) - count,
-        "text": [*lines, *_refusal_lines(entries)],
-        "probes": probes,
-        "requirements": [
-            vars(s) | {"score": round(s.score, 3), "text": own[s.requirement].text if s.requirement in own else ""}
-            for s in ranked
-        ],
-    }
+    return Diagnosis(count, len(failing) - count, (*lines, *_refusal_lines(results)), tuple(probes), tuple(ranked))

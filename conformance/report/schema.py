@@ -1,136 +1,148 @@
-"""The JSON schema of a record; `python -m conformance.report.schema` prints it.
+"""The form of a record. `python -m conformance.report.schema` prints it as JSON schema.
 
-Every field of an object is required, except those listed as optional, and no other field is allowed.
+Every member of an object is required, except those with a default, and no other is allowed.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
-from typing import Any
+from typing import Annotated, Any, Literal
 
-Schema = dict[str, Any]
+import msgspec
+from msgspec import UNSET, Meta, UnsetType
 
+from ..manifest import Count, Positive, Sha256, Strict, Text
+from ..runner.run import STATUSES, Grade, Number, Result, Status
 
-def _object(optional: Sequence[str] = (), /, **fields: Schema) -> Schema:
-    required = [name for name in fields if name not in optional]
-    return {"type": "object", "properties": fields, "required": required, "additionalProperties": False}
-
-
-def _list(items: Schema, **more: int) -> Schema:
-    return {"type": "array", "items": items, **more}
+__all__ = ["STATUSES"]
+# The verdict that a vector counts for.
+Group = Annotated[str, Meta(pattern="^(any|rendering|(tiny|main) [0-9]+)$")]
 
 
-def _map(values: Schema) -> Schema:
-    return {"type": "object", "additionalProperties": values}
+class Description(Strict, frozen=True):
+    """The description that a decoder gives of itself."""
+
+    name: Text
+    version: str
+    language: str | UnsetType = UNSET
+    author: str | UnsetType = UNSET
+    url: str | UnsetType = UNSET
+    notes: str | UnsetType = UNSET
 
 
-def _or_null(schema: Schema) -> Schema:
-    return {"anyOf": [schema, {"type": "null"}]}
+class Suite(Strict, frozen=True):
+    """vectors: the verdict that each vector counts for."""
+
+    version: str
+    format_version: int
+    manifest_sha256: Sha256
+    vectors: dict[str, Group]
 
 
-def _enum(*values: str) -> Schema:
-    return {"enum": list(values)}
+class Runner(Strict, frozen=True):
+    """The run. started: ISO 8601. seconds: wall time."""
+
+    version: str
+    python: str
+    platform: str
+    select: tuple[str, ...]
+    started: str
+    seconds: Number
+    interrupted: bool
+    jobs: Positive
+    grade: Annotated[int, Meta(ge=1, le=3)]
+    slow: Annotated[float, Meta(gt=0)]
+    trace: bool
+    serve: bool
 
 
-STATUSES = ("failed", "crashed", "unexpected", "known", "passed", "skipped")
-REPORT, REPORT_VERSION = "c3gs-conformance-report", 5
-_TEXT, _FLAG, _INTEGER = {"type": "string"}, {"type": "boolean"}, {"type": "integer"}
-_COUNT, _NUMBER = {"type": "integer", "minimum": 0}, {"type": "number", "minimum": 0}
-_POSITIVE = {"type": "number", "exclusiveMinimum": 0}
-_GRADE = {**_COUNT, "maximum": 3}
-_TEXTS = _list(_TEXT)
-_SHA256 = {"type": "string", "pattern": "^[0-9a-f]{64}$"}
-_GROUP = {"type": "string", "pattern": "^(any|rendering|(tiny|main) [0-9]+)$"}
-_COVERAGE = _map(_object(vectors=_COUNT, run=_COUNT, right=_COUNT))
-_PARTS = _enum("head", "positions", "masks", "planes", "features", "scalings", "offsets", "weights", "splat", "digests")
-_LEVEL = _or_null(_COUNT)
+class Decoder(Strict, frozen=True):
+    """command, gaussians: templates. files: the SHA-256 of the program and of the files that the command names."""
 
-# The description that a decoder gives of itself.
-DECODER = _object(
-    ("language", "author", "url", "notes"),
-    name={"type": "string", "minLength": 1},
-    version=_TEXT,
-    language=_TEXT,
-    author=_TEXT,
-    url=_TEXT,
-    notes=_TEXT,
-)
-_DIAGNOSIS = _object(
-    failing=_COUNT,
-    passing=_COUNT,
-    text=_TEXTS,
-    probes=_list(_object(clause=_TEXT, title=_TEXT, vectors=_COUNT, vector=_TEXT, text=_TEXT)),
-    requirements=_list(_object(requirement=_TEXT, text=_TEXT, score=_NUMBER, failing=_COUNT, passing=_COUNT)),
-)
-_ACCEPTED = _object(result={"const": "accepted"}, digest=_SHA256)
-_REJECTED = _object(result={"const": "rejected"}, code=_INTEGER, name=_TEXT, offset=_COUNT, clause=_TEXT)
-_GAUSSIANS = _object(result={"const": "gaussians"}, tolerance=_NUMBER)
-_FOUND = _object(
-    result=_enum("accepted", "rejected", "crashed"),
-    **{name: _or_null(_INTEGER) for name in ("status", "signal", "code", "offset")},
-    digest=_or_null(_SHA256),
-    text=_TEXT,
-    differing=_list(_PARTS),
-)
-_PROBE = _object(
-    name=_TEXT, anchor=_COUNT, index=_COUNT, found=_INTEGER, wanted=_INTEGER, clauses=_list(_TEXT, minItems=1)
-)
-_VECTOR = _object(
-    **dict.fromkeys(("id", "title", "text", "input", "stderr"), _TEXT),
-    **dict.fromkeys(("requirements", "features", "flags", "clauses", "divergence", "hex"), _TEXTS),
-    **{"class": _enum("valid", "malformed", "invalid", "unsupported", "resource")},
-    status=_enum(*STATUSES),
-    grade=_GRADE,
-    operation=_enum("decode", "gaussians"),
-    profile=_or_null(_TEXT),
-    level=_LEVEL,
-    expected={"oneOf": [_ACCEPTED, _REJECTED, _GAUSSIANS]},
-    found=_or_null(_FOUND),
-    probe=_or_null(_PROBE),
-    seconds=_NUMBER,
-    peak_bytes=_or_null(_COUNT),
-)
-RECORD = {
-    "$schema": "https://json-schema.org/draft/2020-12/schema",
-    "title": "Report of a run of the C3GS conformance suite",
-    "description": "conformance/README.md states the meaning of each field.",
-    **_object(
-        report={"const": REPORT},
-        report_version={"const": REPORT_VERSION},
-        suite=_object(version=_TEXT, format_version=_INTEGER, manifest_sha256=_SHA256, vectors=_map(_GROUP)),
-        runner=_object(
-            **dict.fromkeys(("version", "python", "platform", "started"), _TEXT),
-            **dict.fromkeys(("interrupted", "trace", "serve"), _FLAG),
-            select=_TEXTS,
-            seconds=_NUMBER,
-            jobs={"type": "integer", "minimum": 1},
-            grade={**_GRADE, "minimum": 1},
-            slow=_POSITIVE,
-        ),
-        decoder=_object(description=DECODER, command=_TEXTS, gaussians=_or_null(_TEXTS), files=_map(_SHA256)),
-        verdict=_object(
-            conforms=_FLAG,
-            grade=_or_null(_GRADE),
-            counts=_object(**dict.fromkeys(STATUSES, _COUNT)),
-            not_run=_COUNT,
-        ),
-        profiles=_list(
-            _object(
-                profile=_enum("tiny", "main", "rendering"),
-                level=_LEVEL,
-                verdict=_enum("conforms", "fails", "incomplete"),
-                needed=_COUNT,
-                right=_COUNT,
-            )
-        ),
-        requirements=_COVERAGE,
-        features=_COVERAGE,
-        diagnosis=_or_null(_DIAGNOSIS),
-        vectors=_list(_VECTOR),
-        sha256=_SHA256,
-    ),
-}
+    description: Description
+    command: tuple[str, ...]
+    gaussians: tuple[str, ...] | None
+    files: dict[str, Sha256]
+
+
+class Verdict(Strict, frozen=True):
+    """grade: the lowest of the vectors."""
+
+    conforms: bool
+    grade: Grade | None
+    counts: dict[Status, Count]
+    not_run: Count
+
+
+class Profile(Strict, frozen=True):
+    """The verdict for a profile and level, or for rendering. needed, right: numbers of vectors."""
+
+    profile: Literal["tiny", "main", "rendering"]
+    level: Count | None
+    verdict: Literal["conforms", "fails", "incomplete"]
+    needed: Count
+    right: Count
+
+
+class Coverage(Strict, frozen=True):
+    """The vectors of a requirement or a feature: in the suite, run, and right."""
+
+    vectors: Count
+    run: Count
+    right: Count
+
+
+class WrongNumber(Strict, frozen=True):
+    """A clause whose numbers are wrong, with the number of such vectors, and the simplest of them."""
+
+    clause: str
+    title: str
+    vectors: Count
+    vector: str
+    text: str
+
+
+class Suspect(Strict, frozen=True):
+    """A requirement. score: Ochiai's coefficient. failing, passing: the number of its vectors."""
+
+    requirement: str
+    score: Number
+    failing: Count
+    passing: Count
+    text: str
+
+
+class Diagnosis(Strict, frozen=True):
+    """failing, passing: numbers of vectors. text: lines for people."""
+
+    failing: Count
+    passing: Count
+    text: tuple[str, ...]
+    probes: tuple[WrongNumber, ...]
+    requirements: tuple[Suspect, ...]
+
+
+class Record(Strict, frozen=True, kw_only=True):
+    """Report of a run of the C3GS conformance suite. conformance/README.md states the meaning of each member."""
+
+    report: Literal["c3gs-conformance-report"] = "c3gs-conformance-report"
+    report_version: Literal[5] = 5
+    suite: Suite
+    runner: Runner
+    decoder: Decoder
+    verdict: Verdict
+    profiles: tuple[Profile, ...]
+    requirements: dict[str, Coverage]
+    features: dict[str, Coverage]
+    diagnosis: Diagnosis | None
+    sha256: Sha256
+    vectors: tuple[Result, ...]
+
+
+def schema() -> dict[str, Any]:
+    """Returns the JSON schema of a record."""
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **msgspec.json.schema(Record)}
+
 
 if __name__ == "__main__":
-    print(json.dumps(RECORD, indent=1))
+    print(json.dumps(schema(), indent=1))

@@ -8,13 +8,13 @@ import shlex
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 from refcodec.files.text import printable
 
 from ..runner.grading import GRADES
+from ..runner.run import Result
 from .record import NOT_STATED
-from .schema import STATUSES
+from .schema import STATUSES, Record
 
 # The most failures that are listed.
 _SHOWN = 10
@@ -29,10 +29,10 @@ _ANCHOR = re.compile(r"^trace: attributes\.\w+\[(\d+),", re.MULTILINE)
 _WORDS = {"unexpected": "known failures that pass", "known": "known failures"}
 
 
-def most_telling(vectors: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+def most_telling(vectors: Sequence[Result]) -> list[Result]:
     """Returns the failures. Those with the fewest requirements, which locate the fault best, come first."""
-    bad = [v for v in vectors if v["status"] in ("failed", "crashed", "unexpected")]
-    return sorted(bad, key=lambda v: len(v["requirements"]))
+    bad = [v for v in vectors if v.status in ("failed", "crashed", "unexpected")]
+    return sorted(bad, key=lambda v: len(v.requirements))
 
 
 def _from_here(path: Path) -> str:
@@ -43,55 +43,52 @@ def _from_here(path: Path) -> str:
         return printable(str(path))
 
 
-def _general(vectors: Sequence[dict[str, Any]]) -> set[str]:
+def _general(vectors: Sequence[Result]) -> set[str]:
     """Returns the clauses that too many vectors have."""
-    counts = Counter(clause for v in vectors for clause in v["clauses"])
+    counts = Counter(clause for v in vectors for clause in v.clauses)
     return {clause for clause, count in counts.items() if count > _GENERAL * len(vectors)}
 
 
-def _own(vector: dict[str, Any], general: set[str]) -> list[str]:
-    """Returns the clauses to read for a vector, without general ones if it has others."""
-    return [clause for clause in vector["clauses"] if clause not in general] or vector["clauses"]
-
-
-def lines(record: dict[str, Any], suite: Path) -> Iterator[str]:
+def lines(record: Record, suite: Path) -> Iterator[str]:
     """Yields the first failures with their places, the diagnosis and the verdicts.
 
     Args:
         record: of a run.
         suite: the folder of the vectors, for the commands that are printed.
     """
-    bad, general = most_telling(record["vectors"]), _general(record["vectors"])
+    bad, general = most_telling(record.vectors), _general(record.vectors)
     for v in bad[:_SHOWN]:
-        yield f"{v['status'].upper()} {v['id']}: {v['text']}"
-        yield from (f"    {line}" for line in v["divergence"])
-        if v["status"] == "crashed":
-            yield from (f"    stderr: {line[:_WIDTH]}" for line in v["stderr"].splitlines()[-_STDERR_LINES:])
-        symbol = _ANCHOR.search("\n".join(v["divergence"]))
-        anchor = v["probe"]["anchor"] if v["probe"] else symbol.group(1) if symbol else None
+        yield f"{v.status.upper()} {v.id}: {v.text}"
+        yield from (f"    {line}" for line in v.divergence)
+        if v.status == "crashed":
+            yield from (f"    stderr: {line[:_WIDTH]}" for line in v.stderr.splitlines()[-_STDERR_LINES:])
+        symbol = _ANCHOR.search("\n".join(v.divergence))
+        anchor = v.probe.anchor if v.probe else symbol.group(1) if symbol else None
         form = "--hex" if anchor is None else f"--anchor {anchor}"
-        look = shlex.join(["refcodec", "inspect", _from_here(suite / v["input"])])
-        yield f"    {v['title']}; read {', '.join(_own(v, general))}; {look} {form}"
+        look = shlex.join(["refcodec", "inspect", _from_here(suite / v.input)])
+        # General clauses are left out if there are others.
+        read = [clause for clause in v.clauses if clause not in general] or v.clauses
+        yield f"    {v.title}; read {', '.join(read)}; {look} {form}"
     if len(bad) > _SHOWN:
         yield f"... and {len(bad) - _SHOWN} more; --report lists all"
     if bad:
         yield ""
-    if record["diagnosis"]:
-        yield from record["diagnosis"]["text"]
+    if record.diagnosis:
+        yield from record.diagnosis.text
         yield ""
-    decoder, runner, verdict = record["decoder"]["description"], record["runner"], record["verdict"]
-    counts = ", ".join(f"{verdict['counts'][s]} {_WORDS.get(s, s)}" for s in STATUSES if verdict["counts"][s])
-    name = decoder["name"] if decoder["version"] == NOT_STATED else f"{decoder['name']} {decoder['version']}"
-    yield f"{name}: {counts or 'nothing run'}; {runner['seconds']:.1f} s with {runner['jobs']} processes"
-    if runner["interrupted"]:
+    decoder, runner, verdict = record.decoder.description, record.runner, record.verdict
+    counts = ", ".join(f"{verdict.counts[s]} {_WORDS.get(s, s)}" for s in STATUSES if verdict.counts[s])
+    name = decoder.name if decoder.version == NOT_STATED else f"{decoder.name} {decoder.version}"
+    yield f"{name}: {counts or 'nothing run'}; {runner.seconds:.1f} s with {runner.jobs} processes"
+    if runner.interrupted:
         yield "interrupted: the rest was not run"
-    if verdict["grade"] is not None:
-        yield f"grade {verdict['grade']} of {max(GRADES)}: {GRADES[verdict['grade']]}"
-    for row in record["profiles"]:
-        name = row["profile"] if row["level"] is None else f"profile {row['profile']}, level {row['level']}"
-        yield f"  {name:<22} {row['verdict']:<10} {row['right']} of {row['needed']} right"
+    if verdict.grade is not None:
+        yield f"grade {verdict.grade} of {max(GRADES)}: {GRADES[verdict.grade]}"
+    for row in record.profiles:
+        name = row.profile if row.level is None else f"profile {row.profile}, level {row.level}"
+        yield f"  {name:<22} {row.verdict:<10} {row.right} of {row.needed} right"
     for name in ("requirements", "features"):
-        rows = record[name]
-        others = [key for key, row in rows.items() if row["right"] != row["vectors"]]
+        rows = getattr(record, name)
+        others = [key for key, row in rows.items() if row.right != row.vectors]
         which = f"; not {', '.join(others)}" if 0 < len(others) <= _NAMED else ""
         yield f"  {name:<22} {len(rows) - len(others)} of {len(rows)} with all their vectors right{which}"

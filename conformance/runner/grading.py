@@ -11,7 +11,7 @@ import hashlib
 import signal
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, Literal
 
 import construct as cs
 
@@ -22,7 +22,7 @@ from refcodec.bitstream.errors import REGISTRY
 from refcodec.bitstream.reconstruction import DIGEST_MAGIC, part_names
 from refcodec.files.documents import DocumentError, parse_json
 
-from ..manifest import Accepted, GaussiansOf, Manifest, ManifestError, Rejected, Vector
+from ..manifest import Accepted, GaussiansOf, Manifest, ManifestError, Rejected, Sha256, Strict, Vector
 from .folder import FileError, open_file
 from .gaussians import difference
 from .process import Ended
@@ -45,8 +45,6 @@ OVER = {
     "start": "could not be started",
     "left": "left processes that could not be ended",
     "answer": "gave an answer that cannot be read",
-    "twice": "answered more than once",
-    "other": "answered another request",
 }
 # More bytes than the digest of any scene covers (SPEC 9.3).
 _DIGESTED_MAX = 4096
@@ -57,22 +55,22 @@ _LINE = 8 << 10
 BY_CODE = {kind.code: kind for kind in REGISTRY.values()}
 
 
-@dataclass(frozen=True)
-class Found:
+class Found(Strict, frozen=True):
     """The answer of a decoder.
 
     result: "accepted", "rejected" or "crashed". status, signal: of the process. code, offset: of a rejection; the
-    offset is None if it is missing. digest, parts: of an accepted output (read_output). text: the reason of a crash.
+    offset is None if it is missing. digest: of an accepted output (read_output). text: the reason of a crash.
+    differing: the wrong parts of an accepted output in their order; "digests" if only the list of digests is wrong.
     """
 
-    result: str
+    result: Literal["accepted", "rejected", "crashed"]
     status: int | None
     signal: int | None
     code: int | None = None
     offset: int | None = None
-    digest: str | None = None
+    digest: Sha256 | None = None
     text: str = ""
-    parts: dict[str, str] | None = None
+    differing: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -99,15 +97,15 @@ def signal_name(number: int) -> str:
 def _refusal(line: str) -> tuple[int, int | None] | str:
     """Returns code and offset of the last line of stderr, or its fault in words."""
     try:
-        said: Any = parse_json(line, _LINE)
+        error: Any = parse_json(line, _LINE)
     except DocumentError:
         return "whose last line of stderr is not JSON"
-    if not isinstance(said, dict) or type(said.get("code")) is not int:
+    if not isinstance(error, dict) or type(error.get("code")) is not int:
         return "whose last line of stderr is not an object with a code"
-    if said["code"] not in BY_CODE:
-        return f"with a code, {said['code']}, that is not registered"
-    offset = said.get("offset")
-    return said["code"], offset if type(offset) is int else None
+    if error["code"] not in BY_CODE:
+        return f"with a code, {error['code']}, that is not registered"
+    offset = error.get("offset")
+    return error["code"], offset if type(offset) is int else None
 
 
 @dataclass(frozen=True)
@@ -155,16 +153,8 @@ def read_output(file: BinaryIO) -> Output:
     return Output(hashlib.sha256(listed).hexdigest() if found == listed else whole.hexdigest(), parts)
 
 
-def differing(expected: Accepted, found: Found) -> list[str]:
-    """Returns the wrong parts of an accepted output in their order; "digests" if only the list of digests is wrong."""
-    if found.digest == expected.digest:
-        return []
-    parts = found.parts or {}
-    return [name for name, digest in expected.parts.items() if parts.get(name) != digest] or ["digests"]
-
-
-def read(ended: Ended, output: Path) -> Found:
-    """Returns the answer of a process from its end and its output file."""
+def read(ended: Ended, output: Path, expected: Accepted | None = None) -> Found:
+    """Returns the answer of a process from its end and its output file. expected: of the vector, if it is accepted."""
 
     def crash(text: str) -> Found:
         return Found("crashed", ended.status, ended.signal, text=text)
@@ -177,18 +167,21 @@ def read(ended: Ended, output: Path) -> Found:
         try:
             with open_file(output) as file:
                 found = read_output(file)
-            return Found("accepted", ended.status, None, digest=found.digest, parts=found.parts)
         except FileNotFoundError:
             return crash("exit status 0 without an output file")
         except FileError as error:
             return crash(f"its output {error}")
+        wrong: tuple[str, ...] = ()
+        if expected and found.digest != expected.digest:
+            wrong = tuple(n for n, digest in expected.parts.items() if found.parts.get(n) != digest) or ("digests",)
+        return Found("accepted", ended.status, None, digest=found.digest, differing=wrong)
     if ended.status not in (statuses.REJECTED, statuses.UNSUPPORTED):
         return crash(f"exit status {ended.status}")
     last = ended.stderr.strip().splitlines()[-1:]
-    said = _refusal(b"".join(last).decode("utf-8", "replace"))
-    if isinstance(said, str):
-        return crash(f"exit status {ended.status}, {said}")
-    return Found("rejected", ended.status, None, *said)
+    refusal = _refusal(b"".join(last).decode("utf-8", "replace"))
+    if isinstance(refusal, str):
+        return crash(f"exit status {ended.status}, {refusal}")
+    return Found("rejected", ended.status, None, *refusal)
 
 
 def _describe(code: int) -> str:

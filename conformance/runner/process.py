@@ -1,29 +1,29 @@
 """Decoder processes with bounds on time, memory, files and the number of processes.
 
 A decoder process decodes one file, or serves: it reads a request for each file from stdin and answers on stdout. Each
-request and each answer is a line of JSON.
+request and each answer is a line of JSON. What a process writes goes to files, so that nothing is read while it runs.
 """
 
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import json
-import math
 import os
 import resource
-import select
 import shutil
 import signal
 import stat
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 import uuid
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import psutil
 
@@ -45,10 +45,9 @@ ANSWER_BYTES = 1 << 20
 PATIENCE = 10
 # The time in which killed processes must end, in seconds.
 GONE = 5.0
-# The intervals at which known processes are measured, and at which new ones are searched for, in seconds.
-_LOOK, _SEARCH = 0.02, 0.1
-# The most bytes of one read, and the most reads between two looks at a process.
-_READ, _READS = 1 << 16, 64
+# The shortest pause between two looks at a process, the longest one, and the interval at which new processes are
+# searched for, in seconds.
+_PAUSE, _LOOK, _SEARCH = 0.001, 0.02, 0.1
 _RSS_UNIT = 1 if sys.platform == "darwin" else 1024
 # The most bytes by which the kernel's count of resident memory may be late.
 _LATE = 1 << 20
@@ -83,7 +82,7 @@ class Ended:
 
 
 @dataclass(frozen=True)
-class _Bounds:
+class Bounds:
     """seconds: time budget. memory: bytes. folder: of the vector. stop: set to stop the run."""
 
     seconds: float
@@ -106,8 +105,8 @@ class _Bounds:
         entries = taken = 0
         waiting = [str(self.folder.path)]
         while waiting:
-            with contextlib.suppress(OSError), os.scandir(waiting.pop()) as found:
-                for entry in found:
+            with contextlib.suppress(OSError), os.scandir(waiting.pop()) as listed:
+                for entry in listed:
                     status = entry.stat(follow_symlinks=False)
                     entries += 1
                     taken += status.st_blocks * 512
@@ -136,30 +135,36 @@ def check_command(command: Sequence[str]) -> None:
         raise CommandError(f"there is no executable program {command[0]}")
 
 
-def _excerpt(data: bytes | bytearray) -> bytes:
+def _excerpt(data: bytes) -> bytes:
     """The first and the last bytes of an error output, with the number of bytes between them."""
     left = len(data) - STDERR_HEAD - STDERR_TAIL
-    if left > 0:
-        data = data[:STDERR_HEAD] + b"\n[%d bytes left out] " % left + data[-STDERR_TAIL:]
-    return bytes(data)
+    return data if left <= 0 else data[:STDERR_HEAD] + b"\n[%d bytes left out] " % left + data[-STDERR_TAIL:]
+
+
+def _appended() -> BinaryIO:
+    """Opens a temporary file to whose end every process writes, also after it was cut."""
+    file = tempfile.TemporaryFile(buffering=0)  # noqa: SIM115
+    fcntl.fcntl(file, fcntl.F_SETFL, os.O_APPEND)
+    return file
 
 
 class _Decoder:
     """A decoder process and every process that it started.
 
-    usage: of the process, once it has ended. took: wall time until it was killed.
+    usage: of the process, once it has ended. began: when it got its last request, or was started.
     """
 
     def __init__(self, command: Sequence[str], temporary: Path, serves: bool = False) -> None:
         """Starts the process. Raises OSError or ValueError."""
-        pipe = subprocess.PIPE if serves else subprocess.DEVNULL
         self._mark, self._before = uuid.uuid4().hex, set(psutil.pids())
-        self.began, self.took, self._gone, self._spent = time.monotonic(), 0.0, False, 0.0
+        self._errors, self._answers = _appended(), _appended()
+        self.began, self._spent = time.monotonic(), 0.0
+        self.usage: resource.struct_rusage | None = None
         self._process = subprocess.Popen(
             command,
-            stdin=pipe,
-            stdout=pipe,
-            stderr=subprocess.PIPE,
+            stdin=subprocess.PIPE if serves else subprocess.DEVNULL,
+            stdout=self._answers if serves else subprocess.DEVNULL,
+            stderr=self._errors,
             bufsize=0,
             env={**os.environ, "TMPDIR": str(temporary), _MARK: self._mark},
             start_new_session=True,
@@ -172,43 +177,39 @@ class _Decoder:
             for limit, most in ((resource.RLIMIT_CORE, 0), (resource.RLIMIT_FSIZE, FILE_BYTES)):
                 with contextlib.suppress(OSError, ValueError):  # the process has ended, or has a lower limit
                     resource.prlimit(self._process.pid, limit, (most, most))
-        self.usage: resource.struct_rusage | None = None
-        self._files = [f for f in (self._process.stdin, self._process.stdout, self._process.stderr) if f]
-        for file in self._files:
-            os.set_blocking(file.fileno(), False)
-        self._open = [f for f in self._files if f is not self._process.stdin]
-        self.errors, self.answer = bytearray(), bytearray()
 
-    def ready(self) -> bool:
-        """Whether a server waits for a request: it runs, and did not write unasked."""
-        self._read(0)
-        return self.usage is None and not self.answer and self._process.stdout in self._open
-
-    def put(self, line: bytes) -> None:
-        """Writes a request to a server, without waiting. The end of a server is observed later."""
+    def put(self, line: bytes) -> bool:
+        """Writes a request to a server. Returns False if the server has ended, or wrote unasked."""
         assert self._process.stdin
-        self.errors.clear()
+        if self._reap() or self.answer():
+            return False
+        for file in (self._errors, self._answers):
+            file.truncate(0)
         self.began, self._spent = time.monotonic(), self._use()[1]
-        with contextlib.suppress(BrokenPipeError):
+        with contextlib.suppress(BrokenPipeError):  # its end is observed later
             self._process.stdin.write(line)
+        return True
 
-    def wait(self, bounds: _Bounds) -> str | None:
+    def answer(self) -> bytes:
+        """What a server has written since its last request, or the beginning of it."""
+        return os.pread(self._answers.fileno(), ANSWER_BYTES + 1, 0)
+
+    def take_answer(self) -> bytes:
+        """Returns the answer to a request, which is read only once."""
+        answer = self.answer()
+        self._answers.truncate(0)
+        return answer
+
+    def wait(self, bounds: Bounds) -> str | None:
         """Waits for the end, a line of an answer, or a passed bound; returns the bound. Raises StoppedError."""
         looked = searched = self.began
-        silent = math.inf
-        while True:
-            self._read(_LOOK)
+        pause = _PAUSE
+        while not (self._reap() or b"\n" in self.answer()):
             if bounds.stop.is_set():
                 raise StoppedError
-            if len(self.errors) >= FILE_BYTES:
-                return "output"
-            if self.usage or b"\n" in self.answer:
-                return None
-            now = time.monotonic()
-            if self._process.stdout and self._process.stdout not in self._open:
-                silent = min(silent, now)  # a server that ends closes its stdout a moment earlier
-            if len(self.answer) >= ANSWER_BYTES or now > silent + 1:
+            if len(self.answer()) > ANSWER_BYTES:
                 return "answer"
+            now = time.monotonic()
             if now - looked >= _LOOK:
                 looked = now
                 if now - searched >= _SEARCH:
@@ -217,55 +218,59 @@ class _Decoder:
                 used, spent = self._use()
                 over = "processes" if len(self._known) > PROCESSES else None
                 over = over or bounds.passed(now - self.began, spent - self._spent, used) or bounds.stored()
-                if over:
+                if over := over or self._wrote():
                     return over
+            time.sleep(pause)
+            pause = min(2 * pause, _LOOK)
+        return None
 
     def kill(self) -> None:
-        """Kills the decoder and every process that it started, and reads what they wrote."""
-        now = time.monotonic()
-        self.took, end = now - self.began, now + GONE
-        while not self._gone and time.monotonic() < end:
+        """Kills the decoder and every process that it started."""
+        end = time.monotonic() + GONE
+        while time.monotonic() < end:
             self._search()
             with contextlib.suppress(ProcessLookupError, PermissionError):  # the latter for zombies on some systems
                 os.killpg(self._process.pid, signal.SIGKILL)
             for process in self._known:
                 with contextlib.suppress(psutil.Error):
                     process.kill()
-            self._read(0.002 if self._known else 0)
-            self._gone = self.usage is not None and not self._known
-        for file in self._files:
-            file.close()
+            if self._reap() and not self._known:
+                return
+            time.sleep(0.002)
 
-    def ended(self, over: str | None, bounds: _Bounds) -> Ended:
-        """The end of a killed decoder, after a last check of the bounds."""
-        if over or not self._gone or self.usage is None:
-            return Ended(None, None, over or "left", _excerpt(self.errors), self.took, None)
+    def ended(self, over: str | None, bounds: Bounds) -> Ended:
+        """Kills the decoder. Returns its end, after a last check of the bounds."""
+        took = time.monotonic() - self.began
+        self.kill()
+        stderr = _excerpt(os.pread(self._errors.fileno(), FILE_BYTES, 0))
+        over = over or self._wrote() or ("left" if self._known else None)
+        if over or self.usage is None:
+            return Ended(None, None, over or "left", stderr, took, None)
         peak = self.usage.ru_maxrss * _RSS_UNIT
         peak = peak if peak > self._floor else 0
-        spent = self.usage.ru_utime + self.usage.ru_stime - self._spent
-        over = bounds.passed(self.took, spent, peak) or bounds.stored()
+        over = bounds.passed(took, self.usage.ru_utime + self.usage.ru_stime - self._spent, peak) or bounds.stored()
         code = self._process.returncode
         status, number = (code, None) if code >= 0 else (None, -code)
-        return Ended(status, number, over, _excerpt(self.errors), self.took, peak or None)
+        return Ended(status, number, over, stderr, took, peak or None)
 
-    def _read(self, seconds: float) -> None:
-        """Reads the output or waits for some, and observes the end of the process."""
-        if not self._open:
-            time.sleep(min(seconds, 0.001))
-        for _ in range(_READS):
-            ready = select.select(self._open, [], [], seconds)[0] if self._open else []
-            for file in ready:
-                data = file.read(_READ)
-                if data == b"":
-                    self._open.remove(file)
-                (self.errors if file is self._process.stderr else self.answer).extend(data or b"")
-            if not ready:
-                break
-            seconds = 0
+    def close(self) -> None:
+        """Kills the decoder, and closes its files."""
+        self.kill()
+        for file in (self._process.stdin, self._errors, self._answers):
+            if file:
+                file.close()
+
+    def _wrote(self) -> str | None:
+        written = max(os.fstat(file.fileno()).st_size for file in (self._errors, self._answers))
+        return "output" if written >= FILE_BYTES else None
+
+    def _reap(self) -> bool:
+        """Whether the process has ended."""
         if self.usage is None:
             pid, status, usage = os.wait4(self._process.pid, os.WNOHANG)
             if pid:
                 self.usage, self._process.returncode = usage, os.waitstatus_to_exitcode(status)
+        return self.usage is not None
 
     def _search(self) -> None:
         """Updates the known processes: the tree of the decoder, and marked processes that left it."""
@@ -304,74 +309,57 @@ class Watcher:
         self._home: Folder | None = None
         self._asked = 0
 
-    def run(self, command: Sequence[str], seconds: float, memory: int, stop: threading.Event, folder: Folder) -> Ended:
+    def run(self, command: Sequence[str], bounds: Bounds) -> Ended:
         """Runs a command until its end or until it passes a bound.
 
         The bounds are wall time and processor time in seconds (README.md), bytes of resident memory of all its
-        processes, and the files of `folder`. Address space is unbounded, because interpreters and sanitizers reserve
-        more than they use. Raises StoppedError if `stop` is set meanwhile.
+        processes, and the files of its folder. Address space is unbounded, because interpreters and sanitizers reserve
+        more than they use. Raises StoppedError if the run is stopped meanwhile.
         """
-        bounds = _Bounds(seconds, memory, folder, stop)
         try:
-            decoder = _Decoder(command, folder.temporary)
+            decoder = _Decoder(command, bounds.folder.temporary)
         except (OSError, ValueError) as error:
             return _not_started(command, error)
-        try:
-            over = decoder.wait(bounds)
-        finally:
-            decoder.kill()
-        return decoder.ended(over, bounds)
+        with contextlib.closing(decoder):
+            return decoder.ended(decoder.wait(bounds), bounds)
 
-    def ask(
-        self,
-        command: Sequence[str],
-        request: dict[str, Any],
-        seconds: float,
-        memory: int,
-        stop: threading.Event,
-        folder: Folder,
-    ) -> Ended:
+    def ask(self, command: Sequence[str], request: dict[str, Any], bounds: Bounds) -> Ended:
         """Asks a decoder that serves. Returns the end that a process for this request would have had.
 
         The bounds are those of run(), and the size of an answer. A decoder that passes one is started again.
         """
-        bounds = _Bounds(seconds, memory, folder, stop)
-        found = self._ask(command, request, bounds)
-        # A late answer to an earlier request is not a fault of this one.
-        return self._ask(command, request, bounds) if found.over == "other" else found
-
-    def _ask(self, command: Sequence[str], request: dict[str, Any], bounds: _Bounds) -> Ended:
-        if self._server and not self._server.ready():
-            self._end()
         self._home = self._home or Folder()
+        self._asked += 1
+        line = json.dumps({"id": self._asked, **request}).encode() + b"\n"
+        if self._server and not self._server.put(line):
+            self._end()
         try:
-            server = self._server = self._server or _Decoder(command, self._home.temporary, serves=True)
+            if self._server is None:
+                self._server = _Decoder(command, self._home.temporary, serves=True)
+                self._server.put(line)
         except (OSError, ValueError) as error:
             return _not_started(command, error)
-        self._asked += 1
-        good = False
+        server, ended = self._server, None
         try:
-            server.put(json.dumps({"id": self._asked, **request}).encode() + b"\n")
             over = server.wait(bounds)
-            took = time.monotonic() - server.began
-            answer, end, more = server.answer.partition(b"\n")
-            if end and not over:
-                server.answer.clear()
-                found = _read_answer(bytes(answer), self._asked, took)
-                found = replace(found, over="twice" if more else found.over or bounds.stored())
-                good = found.over is None
-                return found
+            line = b"" if over else server.take_answer()
+            if line.endswith(b"\n"):
+                ended = _read_answer(line, self._asked, time.monotonic() - server.began)
+                ended = ended if ended.over else replace(ended, over=bounds.stored())
+            else:
+                # A server that ends without an answer gives none.
+                ended = server.ended(over, bounds)
+                ended = ended if ended.over or ended.signal else replace(ended, status=None, over="answer")
+            return ended
         finally:
             # A server is not asked again after a fault.
-            if not good:
+            if ended is None or ended.over or server.usage:
                 self._end()
-        found = server.ended(over, bounds)
-        return found if found.over or found.signal else replace(found, status=None, over="answer")
 
     def _end(self) -> None:
         server, self._server = self._server, None
         if server:
-            server.kill()
+            server.close()
 
     def close(self) -> None:
         """Ends the decoder that serves, if there is one."""
@@ -386,18 +374,14 @@ def _not_started(command: Sequence[str], error: Exception) -> Ended:
 
 
 def _read_answer(line: bytes, number: int, took: float) -> Ended:
-    """Reads the answer to a request."""
-    wrong = Ended(None, None, "answer", _excerpt(line), took, None)
+    """Reads the answer to a request, which is one line."""
     try:
-        said = parse_json(line, ANSWER_BYTES)
+        answer = parse_json(line, ANSWER_BYTES)
     except DocumentError:
-        return wrong
-    if not isinstance(said, dict):
-        return wrong
-    status, ended_by, text = said.get("status"), said.get("signal"), said.get("stderr", "")
-    # Either status or signal is a number; the other is null or missing.
-    if not isinstance(text, str) or {type(status), type(ended_by)} != {int, type(None)}:
-        return wrong
-    if said.get("id", number) != number:
-        return replace(wrong, over="other")
-    return Ended(status, ended_by, None, _excerpt(text.encode("utf-8", "replace")), took, None)
+        answer = None
+    if isinstance(answer, dict) and answer.get("id", number) == number:
+        status, ended_by, text = answer.get("status"), answer.get("signal"), answer.get("stderr", "")
+        # Either status or signal is a number; the other is null or missing.
+        if isinstance(text, str) and {type(status), type(ended_by)} == {int, type(None)}:
+            return Ended(status, ended_by, None, _excerpt(text.encode("utf-8", "replace")), took, None)
+    return Ended(None, None, "answer", _excerpt(line), took, None)

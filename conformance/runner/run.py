@@ -11,24 +11,44 @@ import threading
 from collections.abc import Iterable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import ExitStack, closing, suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated, Any, Literal, get_args
 
+from msgspec import Meta
+from msgspec.structs import replace
 from tqdm import tqdm
 
 from refcodec.files.text import printable
+from refcodec.inspect.specification import clause_of
 
-from ..manifest import Accepted, GaussiansOf, Manifest, ManifestError, Rejected, Vector
+from ..manifest import (
+    Accepted,
+    Class,
+    Count,
+    GaussiansOf,
+    Manifest,
+    ManifestError,
+    Operation,
+    Rejected,
+    Sha256,
+    Strict,
+    Vector,
+)
 from . import process
 from .folder import FileError, Folder, open_file
 from .grading import GRADE_EXACT, Found, Judgement, judge, read
-from .process import Ended, StoppedError, Watcher
+from .process import Bounds, Ended, StoppedError, Watcher
 from .traces import Probe, symbols_digest
 
 # The longest error output of a process in a report, in characters.
 STDERR_CHARACTERS = 4000
 # The text of a result without a run.
 SKIPPED = "no command for Gaussians was given (--gaussians)"
+Status = Literal["failed", "crashed", "unexpected", "known", "passed", "skipped"]
+STATUSES: tuple[Status, ...] = get_args(Status)
+Grade = Annotated[int, Meta(ge=0, le=GRADE_EXACT)]
+Number = Annotated[float, Meta(ge=0)]
 
 
 @dataclass(frozen=True)
@@ -49,48 +69,76 @@ class Options:
     serve: bool = False
 
 
-@dataclass(frozen=True)
-class Result:
-    """The result of a vector.
+class Digest(Strict, frozen=True, tag="accepted", tag_field="result"):
+    """The file is accepted, and its scene has this digest."""
 
-    status: "passed", "failed", "crashed" or "skipped"; of a known failure "known", or "unexpected" if it passes.
-    grade: 0 to 3. text: the fault, in words. found: the decoder's answer, None if it was not run. divergence: the
-    first differences of output and trace. hex: the bytes of the file, annotated. probe: the first wrong number of a
-    trace. stderr: its beginning and its end, printable. seconds, peak: of the process (Ended).
+    digest: Sha256
+
+
+class Tolerance(Strict, frozen=True, tag="gaussians", tag_field="result"):
+    """The Gaussians are those of a list within a relative tolerance."""
+
+    tolerance: Number
+
+
+class Result(Strict, frozen=True, rename={"klass": "class"}):
+    """The result of a vector, and what the manifest says of it.
+
+    clauses: to read, that of the expected error first. status: "passed", "failed", "crashed" or "skipped"; of a known
+    failure "known", or "unexpected" if it passes. grade: 0 to 3. text: the fault, in words. found: the decoder's
+    answer, None if it was not run. probe: the first wrong number of a trace. divergence: the first differences of
+    output and trace. hex: the bytes of the file, annotated. stderr: its beginning and its end, printable. seconds,
+    peak_bytes: of the process (Ended).
     """
 
-    vector: Vector
-    status: str
-    grade: int = 0
+    id: str
+    title: str
+    klass: Class
+    operation: Operation
+    profile: str | None
+    level: Count | None
+    requirements: tuple[str, ...]
+    features: tuple[str, ...]
+    flags: tuple[str, ...]
+    clauses: tuple[str, ...]
+    input: str
+    expected: Digest | Rejected | Tolerance
+    status: Status
+    grade: Grade = 0
     text: str = ""
     found: Found | None = None
+    probe: Probe | None = None
     divergence: tuple[str, ...] = ()
     hex: tuple[str, ...] = ()
     stderr: str = ""
-    seconds: float = 0.0
-    peak: int | None = None
-    probe: Probe | None = None
+    seconds: Number = 0.0
+    peak_bytes: Count | None = None
 
     @property
-    def good(self) -> bool:
+    def is_good(self) -> bool:
         """Whether a run with this result can succeed."""
         return self.status in ("passed", "known", "skipped")
 
 
 @dataclass
 class Run:
-    """The outcome of a run.
-
-    results: in the order of the vectors, without those that an interrupted run did not reach. left: folders that could
-    not be removed.
-    """
+    """The outcome of a run. results: in the order of the vectors, without those that were not reached."""
 
     results: list[Result] = field(default_factory=list)
     interrupted: bool = False
-    left: list[str] = field(default_factory=list)
 
 
-def status_of(found: Found, judgement: Judgement, grade: int) -> str:
+def result_of(vector: Vector, status: Status, **more: Any) -> Result:
+    """Returns the result of a vector. more: the members that the manifest does not have."""
+    e, v = vector.expectation, vector
+    clauses = [e.clause] if isinstance(e, Rejected) else []
+    clauses = list(dict.fromkeys(clauses + [clause_of(name) for name in v.requirements]))
+    expected = Digest(e.digest) if isinstance(e, Accepted) else e if isinstance(e, Rejected) else Tolerance(e.tolerance)
+    stated = (v.id, v.title, v.klass, v.operation, v.profile, v.level, v.requirements, v.features, v.flags)
+    return Result(*stated, tuple(clauses), v.input.path, expected, status, **more)
+
+
+def status_of(found: Found, judgement: Judgement, grade: int) -> Status:
     """Returns the status of a vector that was run and is not a known failure. grade: the lowest that passes."""
     if found.result == "crashed":
         return "crashed"
@@ -131,48 +179,36 @@ class _Desk:
     def __init__(self, manifest: Manifest, options: Options) -> None:
         self.manifest, self.options = manifest, options
         self.stop = threading.Event()
-        self.left: list[str] = []
         self._watchers: queue.SimpleQueue[Watcher] = queue.SimpleQueue()
         for _ in range(options.jobs):
             self._watchers.put(Watcher())
-        # The folders of vectors by identifier, and the free folders.
-        self._folders: dict[str, Folder] = {}
-        self._free: queue.SimpleQueue[Folder] = queue.SimpleQueue()
 
     def run(self, vector: Vector) -> Result:
-        """Returns the result of a vector. Raises StoppedError if the run is stopped meanwhile.
-
-        The folder of a failure is kept for `explain`.
-        """
-        camera, template = None, self.options.command
-        if isinstance(vector.expectation, GaussiansOf):
-            if self.options.gaussians is None:
-                return Result(vector, "skipped", text=SKIPPED)
-            template = self.options.gaussians
-            camera = json.dumps(vector.expectation.camera).encode()
+        """Returns the result of a vector. Raises StoppedError if the run is stopped meanwhile."""
+        o, e, camera, template = self.options, vector.expectation, None, self.options.command
+        if isinstance(e, GaussiansOf):
+            if o.gaussians is None:
+                return result_of(vector, "skipped", text=SKIPPED)
+            template, camera = o.gaussians, json.dumps(e.camera).encode()
         if self.stop.is_set():
             raise StoppedError
-        folder = self._folders[vector.id] = self._folder()
-        folder.put(self._data(vector), camera)
-        ended = self._end(vector, template, folder)
-        found, damage = read(ended, folder.output), folder.fault()
-        if damage and not ended.over:
-            found = Found("crashed", ended.status, ended.signal, text=damage)
-        judgement = self._with_trace(vector, judge(self.manifest, vector, found, folder.output), folder)
-        if found.result == "crashed":
-            self._remove(self._folders.pop(vector.id))
-        elif not judgement.text:
-            self._release(vector)
-        return Result(
-            vector,
-            status_of(found, judgement, self.options.grade),
-            judgement.grade,
-            judgement.text,
-            found,
-            stderr=shown(ended.stderr),
-            seconds=ended.seconds,
-            peak=ended.peak,
-        )
+        with closing(Folder(self._data(vector), camera)) as folder:
+            ended = self._end(vector, template, folder)
+            found = read(ended, folder.output, e if isinstance(e, Accepted) else None)
+            judgement = self._with_trace(vector, judge(self.manifest, vector, found, folder.output), folder)
+            result = result_of(
+                vector,
+                status_of(found, judgement, o.grade),
+                grade=judgement.grade,
+                text=judgement.text,
+                found=found,
+                stderr=shown(ended.stderr),
+                seconds=round(ended.seconds, 3),
+                peak_bytes=ended.peak,
+            )
+            if not judgement.text or result.status == "crashed" or isinstance(e, GaussiansOf):
+                return result
+            return self._explained(result, vector, folder)
 
     def _data(self, vector: Vector) -> bytes:
         """Reads the file of a vector. Raises ManifestError if it changed since the run began."""
@@ -185,46 +221,22 @@ class _Desk:
         return data
 
     def _end(self, vector: Vector, template: tuple[str, ...], folder: Folder) -> Ended:
-        o, seconds, memory = self.options, vector.budget.seconds * self.options.slow, vector.budget.bytes
+        o = self.options
+        bounds = Bounds(vector.budget.seconds * o.slow, vector.budget.bytes, folder, self.stop)
         places = {"input": folder.input, "output": folder.output, "trace": folder.trace, "camera": folder.camera}
         watcher = self._watchers.get()
         try:
             if o.serve and template is o.command:
                 wanted = ("input", "output", "trace") if o.trace else ("input", "output")
-                request = {name: str(places[name]) for name in wanted}
-                return watcher.ask(template, request, seconds, memory, self.stop, folder)
-            return watcher.run(process.fill(template, places), seconds, memory, self.stop, folder)
+                return watcher.ask(template, {name: str(places[name]) for name in wanted}, bounds)
+            return watcher.run(process.fill(template, places), bounds)
         finally:
             self._watchers.put(watcher)
 
-    def _folder(self) -> Folder:
-        with suppress(queue.Empty):
-            return self._free.get_nowait()
-        return Folder()
-
-    def _release(self, vector: Vector) -> None:
-        """Clears a folder without a fault for the next vector."""
-        folder = self._folders.pop(vector.id)
-        try:
-            folder.clear()
-        except OSError:
-            self._remove(folder)
-        else:
-            self._free.put(folder)
-
-    def _remove(self, folder: Folder) -> None:
-        left = folder.close()
-        if left:
-            self.left.append(left)
-
     def close(self) -> None:
-        """Ends all decoders and removes all folders, after the last vector."""
+        """Ends all decoders, after the last vector."""
         while not self._watchers.empty():
             self._watchers.get().close()
-        while not self._free.empty():
-            self._remove(self._free.get())
-        for folder in self._folders.values():
-            self._remove(folder)
 
     def _with_trace(self, vector: Vector, judgement: Judgement, folder: Folder) -> Judgement:
         if not self.options.trace or judgement.text or not isinstance(vector.expectation, Accepted):
@@ -238,44 +250,29 @@ class _Desk:
             return Judgement(0, f"the output is right; the trace {error}")
         return judgement if right else Judgement(0, "the output is right, the trace is not")
 
-    def explain(self, result: Result) -> Result:
-        """Adds divergence, annotated bytes and the first wrong probe to a failure, and frees its folder."""
-        folder = self._folders.get(result.vector.id)
-        if folder is None:
-            return result
-        try:
-            return self._explained(result, folder)
-        finally:
-            self._release(result.vector)
-
-    def _explained(self, result: Result, folder: Folder) -> Result:
-        vector, found = result.vector, result.found
-        if found is None or isinstance(vector.expectation, GaussiansOf):
-            return result
+    def _explained(self, result: Result, vector: Vector, folder: Folder) -> Result:
+        """Adds divergence, annotated bytes and the first wrong probe to a failure."""
         # Only failures need numpy, which is slow to import.
         from . import divergence  # noqa: PLC0415
 
-        data = self._data(vector)
-        lines, spot, probe = list[str](), None, None
+        assert result.found is not None
+        data, lines, probe, spot = self._data(vector), list[str](), None, result.found.offset
         if isinstance(vector.expectation, Rejected):
             spot = vector.expectation.offset
         else:
-            output = _content(folder.output) if found.result == "accepted" else None
+            output = _content(folder.output) if result.found.result == "accepted" else None
             differs = None if output is None else divergence.of_output(data, output)
-            if differs:
-                lines.append(differs.text())
+            lines += [differs.text()] if differs else []
             trace = _content(folder.trace)
-            symbol = None
             if trace is not None:
                 symbol, compared = divergence.of_trace(data, trace)
-                probe = compared.first
-                told = list(compared.lines(symbol is not None))
-                lines = [*told, *lines] if probe else [*lines, *told]
-            if symbol:
-                lines.append(symbol.text())
-            spot = symbol.offset if symbol else found.offset
-        near = [] if spot is None else divergence.annotated(data, spot)
-        return replace(result, divergence=tuple(lines), hex=tuple(near), probe=probe)
+                probe, of_probes = compared.first, list(compared.lines(symbol is not None))
+                lines = [*of_probes, *lines] if probe else [*lines, *of_probes]
+                if symbol:
+                    lines.append(symbol.text())
+                    spot = symbol.offset
+        near = () if spot is None else tuple(divergence.annotated(data, spot))
+        return replace(result, divergence=tuple(lines), hex=near, probe=probe)
 
 
 def _content(path: Path) -> bytes | None:
@@ -293,7 +290,7 @@ def run(
     known: identifiers of vectors that must fail. show: show a progress bar on stderr.
     """
     ended: dict[str, Result] = {}
-    done = Run()
+    done, names = Run(), set(known)
     bar = tqdm(total=len(vectors), unit="vector", file=sys.stderr, disable=not show)
     with ExitStack() as stack:
         # The default action of these signals would leave decoders behind.
@@ -307,9 +304,9 @@ def run(
         queue = [pool.submit(desk.run, v) for v in sorted(vectors, key=lambda v: (-v.budget.seconds, -v.input.size))]
         try:
             for result in _as_they_end(queue):
-                ended[result.vector.id] = desk.explain(result)
+                ended[result.id] = as_known(result) if result.id in names else result
                 bar.update()
-                bad = sum(not r.good for r in ended.values())
+                bad = sum(not r.is_good for r in ended.values())
                 bar.set_postfix_str(f"{bad} failed" if bad else "", refresh=False)
         except KeyboardInterrupt:
             done.interrupted = True
@@ -318,9 +315,6 @@ def run(
             for future in queue:
                 future.cancel()
     done.results = [ended[v.id] for v in vectors if v.id in ended]
-    done.left = [printable(text) for text in desk.left]
-    names = set(known)
-    done.results = [as_known(r) if r.vector.id in names else r for r in done.results]
     return done
 
 

@@ -5,7 +5,11 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
+from typing import Annotated
+
+from msgspec import Meta
+
+from ..manifest import Count, Strict
 
 _MARK = b"probe "
 # The longest line that is read, in bytes.
@@ -14,8 +18,7 @@ LINE_BYTES = 1 << 16
 _LINES = re.compile(rb"(?:^probe [^\n]*+(?:\n|\Z))++", re.MULTILINE)
 
 
-@dataclass(frozen=True)
-class Probe:
+class Probe(Strict, frozen=True):
     """A wrong number.
 
     name: of the numbers. anchor: in the file. index: among the numbers. clauses: of SPEC.md; first that of the number,
@@ -23,11 +26,11 @@ class Probe:
     """
 
     name: str
-    anchor: int
-    index: int
+    anchor: Count
+    index: Count
     found: int
     wanted: int
-    clauses: tuple[str, ...]
+    clauses: Annotated[tuple[str, ...], Meta(min_length=1)]
 
     def text(self) -> str:
         """Returns the wrong number as one line."""

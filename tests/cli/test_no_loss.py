@@ -252,8 +252,6 @@ def test_the_suite_s_commands(place: Path, refused: Callable[..., str], capsys: 
     Path("valid").mkdir()
     Path("valid/thesis.txt").write_text("precious")
     assert "not a conformance suite" in refused("generate", "-o", ".", program=suite_main)
-    Path("README.md").write_text("mine")
-    assert "not the guide" in refused("export", "--fluster", ".", program=suite_main)
     decoder = ("--select", "id:valid-plain", "--", sys.executable, "{input}", "{output}")
     for name in ("report.json", "report.xml", "report.html"):
         Path(name).write_text("mine")

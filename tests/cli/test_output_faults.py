@@ -129,7 +129,6 @@ CASES = [
         REPORTS,
         run=suite_cli,
     ),
-    Case("export --vectors suite --fluster deep/out", run=suite_cli, slow=True),
     Case("generate -o suite", run=suite_cli),
 ]
 

@@ -1,9 +1,12 @@
-"""The small suite and the decoder in C, made once for all tests that need them."""
+"""The small suite and the decoders, made once for all tests that need them."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import pytest
 from c_program import COMPILER, Program, compiled
+from decoders import Decoders, started
 from small_suite import Suite, build
 
 
@@ -13,11 +16,18 @@ def suite(tmp_path_factory: pytest.TempPathFactory) -> Suite:
 
 
 @pytest.fixture(scope="session")
-def c_decoder(tmp_path_factory: pytest.TempPathFactory) -> Program:
+def decoders(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Decoders]:
+    with started(tmp_path_factory.mktemp("decoders")) as found:
+        yield found
+
+
+@pytest.fixture(scope="session")
+def c_decoder(decoders: Decoders) -> Program:
     """The decoder in C, with the compiler's sanitizers."""
-    if COMPILER is None:
+    found = decoders.others.get("C")
+    if not isinstance(found, Program):
         pytest.skip("there is no C compiler here")
-    return compiled(tmp_path_factory.mktemp("c"))
+    return found
 
 
 @pytest.fixture(scope="session")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import shutil
 import sys
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -14,13 +13,14 @@ from typing import Any
 from conformance import cli
 from conformance.cases.checksums import repair
 from conformance.cases.target import Target
-from conformance.manifest import MANIFEST, SCHEMA, VECTORS
+from conformance.manifest import MANIFEST, VECTORS
 from refcodec.bitstream import codec
 from refcodec.bitstream.errors import BitstreamError
 from refcodec.bitstream.reconstruction import canonical_head, canonical_parts, digest, digested
 from refcodec.bitstream.scene import Ancillary
 from refcodec.inspect.trace import symbol_trace
 
+ROOT = Path(__file__).resolve().parents[2]
 FAKE = Path(__file__).with_name("fake_decoder.py")
 
 
@@ -97,7 +97,6 @@ def build(
     folder: Path, answers: Path, files: dict[str, bytes] | None = None, budgets: dict[str, dict[str, int]] | None = None
 ) -> Suite:
     """Writes a suite of files (CLASS-MODE), and the answers, into two empty folders. budgets: other ones by mode."""
-    shutil.copyfile(VECTORS / SCHEMA, folder / SCHEMA)
     vectors, known = [], {}
     for name, data in (files or _files()).items():
         klass, _, rest = name.partition("-")

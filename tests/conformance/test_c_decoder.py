@@ -1,53 +1,69 @@
-"""The decoder in C (conformance/c): its results equal those of refcodec, without sanitizer reports."""
+"""The decoder in C (conformance/c) as a program: its output, its usage, and other tables. test_decoders.py has the
+verdicts."""
 
 from __future__ import annotations
 
+import subprocess
 from pathlib import Path
 
 import pytest
 from c_program import Program
-from hostile_files import UNDRAWN, largest_planes
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from test_spec_decoder import faulty
+from hostile_files import FILES, SCENES
 
-from conformance.fuzz import compare
-from refcodec.bitstream import codec, reconstruction
-from refcodec.bitstream.errors import REGISTRY
-
-ROOT = Path(__file__).resolve().parents[2]
+from refcodec import statuses
+from refcodec.bitstream import reconstruction
 
 
 @pytest.mark.no_cover
-@pytest.mark.parametrize("name", REGISTRY)
-@settings(max_examples=3)
-@given(st.data())
-def test_fault(c_decoder: Program, name: str, data: st.DataObject) -> None:
-    fault = data.draw(faulty(name))
-    assert c_decoder.verdict(fault.data) == (name, fault.offset)
+@pytest.mark.parametrize("name", FILES)
+def test_digests_and_reconstruction(c_decoder: Program, name: str) -> None:
+    """Whole and part by part."""
+    scene = SCENES[name]
+    file, output = c_decoder.folder / "valid.c3gs", c_decoder.folder / "output"
+    file.write_bytes(FILES[name])
+    whole, parts = reconstruction.digest(scene)
+    printed = dict(line.split() for line in c_decoder.run("digest", file).stdout.decode().splitlines())
+    assert printed == {"whole": whole, **parts}
+    assert c_decoder.run("decode", file, output).returncode == statuses.DONE
+    expected = reconstruction.digested(scene) + b"".join(part for _, part in reconstruction.canonical_parts(scene))
+    assert output.read_bytes() == expected
 
 
-@pytest.mark.slow
-@pytest.mark.no_cover
-@given(compare.families())
-@settings(max_examples=10)
-def test_it_agrees(c_decoder: Program, made: list[tuple[bytes, compare.Verdict | None]]) -> None:
-    for data, _ in made:
-        assert c_decoder.verdict(data) == compare.first_verdict(data)
+def test_a_pipe_is_read(c_decoder: Program) -> None:
+    """Nothing is sought, so bytes may arrive one after the other."""
+    piped = c_decoder.run("digest", "/dev/stdin", input=FILES["raw"])
+    assert piped.stdout.split()[1].decode() == reconstruction.digest(SCENES["raw"])[0]
+    assert c_decoder.run("digest", "/dev/stdin", input=FILES["raw"][:-1]).returncode == statuses.REJECTED
 
 
-@pytest.mark.no_cover
-def test_other_render_models(c_decoder: Program) -> None:
-    assert c_decoder.verdict(codec.emit(UNDRAWN)) == (reconstruction.digest(UNDRAWN)[0], -1)
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        (),
+        ("digest",),
+        ("encode", "file.c3gs"),
+        ("decode", "file.c3gs"),
+        ("digest", "nothing.c3gs"),
+        ("digest", "."),
+        ("decode", "file.c3gs", "nowhere/output"),
+        ("decode", "file.c3gs", "/dev/full"),
+        ("decode", "/dev/stdin", "output"),
+    ],
+)
+def test_wrong_usage(c_decoder: Program, arguments: tuple[str, ...]) -> None:
+    (c_decoder.folder / "file.c3gs").write_bytes(FILES["raw"])
+    with subprocess.Popen(["cat", "file.c3gs"], stdout=subprocess.PIPE, cwd=c_decoder.folder) as pipe:
+        ended = c_decoder.run(*arguments, cwd=c_decoder.folder, stdin=pipe.stdout)
+    assert ended.returncode == statuses.USAGE
+    assert ended.stderr.startswith(b"decoder: ")
+    assert ended.stdout == b""
 
 
-@pytest.mark.slow
-@pytest.mark.no_cover
-def test_the_largest_planes(c_decoder: Program) -> None:
-    scene = largest_planes()
-    assert c_decoder.verdict(codec.emit(scene)) == (reconstruction.digest(scene)[0], -1)
-
-
-def test_the_example(c_decoder: Program) -> None:
-    data = (ROOT / "vectors" / "tiny-example.c3gs").read_bytes()
-    assert c_decoder.verdict(data) == (reconstruction.digest(codec.parse(data).scene)[0], -1)
+@pytest.mark.parametrize("tables", [b"", bytes(99840), bytes(200000)])
+def test_other_tables(c_decoder: Program, tmp_path: Path, tables: bytes) -> None:
+    file = tmp_path / "tables-0.bin"
+    file.write_bytes(tables)
+    (c_decoder.folder / "file.c3gs").write_bytes(FILES["raw"])
+    for path in (file, tmp_path / "none"):
+        ended = c_decoder.run("digest", c_decoder.folder / "file.c3gs", env={"C3GS_TABLES": str(path)})
+        assert ended.returncode == statuses.USAGE

@@ -9,8 +9,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pytest
+from msgspec import structs
 
-from conformance.manifest import Accepted, Budget, Input, Manifest, Rejected, Vector
+from conformance.manifest import Accepted, Budget, Generator, Input, Manifest, Rejected, Vector
 from conformance.runner import grading
 from conformance.runner.grading import Found, Judgement
 from conformance.runner.process import Ended
@@ -31,9 +32,12 @@ VERSION = Rejected(104, "prologue.version", 8, "6.1")
 VALID = Accepted(DIGEST, {}, "")
 
 
+MADE = Generator("test", 0)
+
+
 def _vector(expectation: Accepted | Rejected) -> Vector:
     where = Input("valid/x.c3gs", 1, "0" * 64)
-    return Vector("x", "x", "decode", "valid", "tiny", 0, (), (), (), where, expectation, Budget(1, 1), "CC0-1.0", {})
+    return Vector("x", "x", "decode", "valid", "tiny", 0, (), (), (), where, expectation, Budget(1, 1), "CC0-1.0", MADE)
 
 
 @dataclass(frozen=True)
@@ -176,7 +180,7 @@ def _right_if(condition: Callable[[Vector, Found], bool]) -> Judge:
 
 def _offset_ignored(manifest: Manifest, vector: Vector, found: Found, output: Path) -> Judgement:
     if isinstance(vector.expectation, Rejected) and found.result == "rejected":
-        found = replace(found, offset=vector.expectation.offset)
+        found = structs.replace(found, offset=vector.expectation.offset)
     return grading.judge(manifest, vector, found, output)
 
 
@@ -190,7 +194,7 @@ JUDGES: dict[str, Judge] = {
     ),
     "offsets are ignored": _offset_ignored,
     "the exit status is ignored": lambda m, v, f, o: grading.judge(
-        m, v, replace(f, status=2 if v.expectation == VERSION else 1), o
+        m, v, structs.replace(f, status=2 if v.expectation == VERSION else 1), o
     ),
     "faults have no text": lambda m, v, f, o: replace(grading.judge(m, v, f, o), text=""),
 }

@@ -6,12 +6,11 @@ answer these as 12.2 and 12.3 say, and files of version 0 keep their verdicts an
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
-from c_program import Program
-from web_program import MISSING, NODE, running
+from decoders import Decoders
 
 from conformance import spec_decoder
 from conformance.cases.scenes import random_scene
@@ -103,23 +102,6 @@ def decoder(changes: dict[str, str], minor: int = 1) -> Decoder:
 DECODERS = {"field": decoder(FIELD), "mode": decoder(MODE), "section": decoder(SECTION)}
 
 
-@pytest.fixture(scope="module", params=["refcodec", "blocks", "C", "web"])
-def today(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Decoder]:
-    """A decoder of version 0."""
-    if request.param == "refcodec":
-        yield first_verdict
-    elif request.param == "blocks":
-        yield decoder({}, minor=0)
-    elif request.param == "C":
-        program: Program = request.getfixturevalue("c_decoder")
-        yield program.verdict
-    elif NODE is None:
-        pytest.skip(MISSING)
-    else:
-        with running(tmp_path_factory.mktemp("web")) as process:
-            yield process.verdict
-
-
 # --- their files ------------------------------------------------------------------------------------------------------
 
 
@@ -161,21 +143,21 @@ def test_a_later_version_decodes_its_files() -> None:
 
 
 @pytest.mark.requirement("R6.2-3")
-def test_version_0_ignores_a_later_field(today: Decoder) -> None:
+def test_version_0_ignores_a_later_field(decoders: Decoders) -> None:
     """Also one with a value that version 0.1 refuses."""
-    assert today(with_field(100)) == today(with_field(101)) == ACCEPTED
+    assert decoders.agreed(with_field(100)) == decoders.agreed(with_field(101)) == ACCEPTED
 
 
 @pytest.mark.requirement("R6.6-4")
-def test_version_0_does_not_support_a_later_mode(today: Decoder) -> None:
+def test_version_0_does_not_support_a_later_mode(decoders: Decoders) -> None:
     data, at = with_mode()
-    assert today(data) == ("directory.mode", at)
+    assert decoders.agreed(data) == ("directory.mode", at)
 
 
 @pytest.mark.requirement("R6.6-2")
-def test_version_0_does_not_support_a_later_section(today: Decoder) -> None:
+def test_version_0_does_not_support_a_later_section(decoders: Decoders) -> None:
     data, at, _ = with_section(ACCEPTED[0])
-    assert today(data) == ("directory.unknown_critical", at)
+    assert decoders.agreed(data) == ("directory.unknown_critical", at)
 
 
 def _expected(vector: Vector) -> Verdict:

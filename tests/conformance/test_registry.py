@@ -10,6 +10,7 @@ import shutil
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 from xml.etree import ElementTree
 
@@ -366,13 +367,13 @@ def test_words() -> None:
         ("main", 3, "fails"),
         ("rendering", None, "conforms"),
     ]
-    record = {
-        "profiles": [{"profile": p, "level": level, "verdict": v} for p, level, v in rows],
-        "verdict": {"grade": 0},
-        "vectors": [{"grade": 2, "found": {}}, {"grade": 0, "found": {}}, {"grade": 0, "found": None}],
-    }
+    record: Any = SimpleNamespace(
+        profiles=[SimpleNamespace(profile=p, level=level, verdict=v) for p, level, v in rows],
+        verdict=SimpleNamespace(grade=0),
+        vectors=[SimpleNamespace(grade=g, found=found) for g, found in ((2, {}), (0, {}), (0, None))],
+    )
     assert certificates.words(record) == "tiny 0, main 1-2, drawing"
-    record["profiles"] = []
+    record.profiles = []
     assert certificates.words(record) == "fails 2"
-    record["verdict"]["grade"] = 2
+    record.verdict.grade = 2
     assert certificates.words(record) == "grade 2"

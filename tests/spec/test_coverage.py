@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from msgspec import structs
 
 from conformance import spec_decoder
 from conformance.manifest import Rejected, load
@@ -123,11 +124,11 @@ def test_extremes_of_elements(tmp_path: Path) -> None:
         (tmp_path / "refused.c3gs").write_bytes(_with_value(path, change))
         (tmp_path / "example.c3gs").write_bytes(DATA)
         vectors = (
-            replace(EXAMPLE, input=replace(EXAMPLE.input, path="example.c3gs")),
-            replace(
+            structs.replace(EXAMPLE, input=structs.replace(EXAMPLE.input, path="example.c3gs")),
+            structs.replace(
                 EXAMPLE,
                 id="refused",
-                input=replace(EXAMPLE.input, path="refused.c3gs"),
+                input=structs.replace(EXAMPLE.input, path="refused.c3gs"),
                 expectation=Rejected(214, "header.render_info", offset, "6.5"),
             ),
         )
