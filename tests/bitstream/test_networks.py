@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import random
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,7 @@ from spec_numbers import f32_bits
 
 from conformance.cases.scenes import MAIN_DIMENSIONS, TINY_DIMENSIONS, random_networks
 from refcodec.bitstream import networks
-from refcodec.bitstream.networks import ACCUMULATOR_BOUND, BoundError, IntLayer, IntNetwork, derive_layer
+from refcodec.bitstream.networks import BoundError, IntLayer, IntNetwork, derive_layer
 
 Spec = dict[str, Any]
 Row = tuple[list[float], float]
@@ -51,6 +50,9 @@ def layers(fan_in: st.SearchStrategy[int], rows: int) -> st.SearchStrategy[list[
 @settings(max_examples=120)
 @given(st.one_of(layers(st.integers(1, 6), 4), layers(st.integers(1, 128), 1)))
 @example([([1023.0], 0.0)])
+@example([([1023.0] * 16, 33023.0 - 272)])
+@example([([1023.0] * 16, 33024.0 - 272)])
+@example([([1023.0] * 17, 0.0)])
 @example([([1023.5], 0.0)])
 @example([([-1023.5], 0.0)])
 @example([([0.0], 16777215.0)])
@@ -69,7 +71,7 @@ def layers(fan_in: st.SearchStrategy[int], rows: int) -> st.SearchStrategy[list[
 # The rounding term alone takes this row from exponent 20 to 19.
 @example([([0.0], 15.75)])
 def test_derived_rows(spec: Spec, rows: list[Row]) -> None:
-    """Those of exact arithmetic; no input and no order of summation takes one past 2^24."""
+    """Those of the text. Its proof (spec/proofs.py) says that no input and no order of summation passes 2^24."""
     weight = np.array([w for w, _ in rows], dtype=np.float32)
     bias = np.array([b for _, b in rows], dtype=np.float32)
     wanted = [spec["DERIVE_ROW"](w, b) for w, b in zip(f32_bits(weight), f32_bits(bias), strict=True)]
@@ -78,39 +80,12 @@ def test_derived_rows(spec: Spec, rows: list[Row]) -> None:
             derive_layer(weight, bias)
         assert caught.value.row == wanted.index(None)
         return
-    layer = derive_layer(weight, bias)
-    assert rows_of(layer) == wanted
-    for w, b, e in wanted:
-        # Every partial sum is at most the sum of magnitudes at the extreme inputs, with bias and rounding term.
-        assert sum(map(abs, w)) * 1023 + abs(b) + ((1 << e) >> 1) < 1 << 24
+    assert rows_of(derive_layer(weight, bias)) == wanted
 
 
 def rows_of(layer: IntLayer) -> list[tuple[list[int], int, int]]:
     """A layer as the blocks take it."""
     return list(zip(layer.weight.tolist(), layer.bias.tolist(), layer.exponent.tolist(), strict=True))
-
-
-@pytest.mark.parametrize("value", [1023.5, -1024.0, 1e9, 3.4e38])
-def test_a_weight_past_its_limit_is_refused(value: float) -> None:
-    weight = np.zeros((3, 2), np.float32)
-    weight[1, 1] = value
-    with pytest.raises(BoundError) as caught:
-        derive_layer(weight, np.zeros(3, np.float32))
-    assert caught.value.row == 1
-
-
-@pytest.mark.parametrize(("fan_in", "bias", "accepted"), [(16, 33023.0, True), (16, 33024.0, False), (17, 0.0, False)])
-def test_the_bound_itself(fan_in: int, bias: float, accepted: bool) -> None:
-    """16 weights of 1023 take 16,744,464 of 16,777,215, which leaves 32,751 for the bias; one more breaks the bound."""
-    assert ACCUMULATOR_BOUND - 1 - 16 * 1023 * 1023 == 32751
-    weight = np.full((1, fan_in), 1023, np.float32)
-    biases = np.array([bias - 272 if fan_in == 16 else bias], np.float32)
-    if accepted:
-        layer = derive_layer(weight, biases)
-        assert (int(layer.bias[0]), int(layer.exponent[0])) == (32751, 0)
-    else:
-        with pytest.raises(BoundError):
-            derive_layer(weight, biases)
 
 
 def test_derive_networks_names_the_layer_of_a_broken_row() -> None:
@@ -119,79 +94,6 @@ def test_derive_networks_names_the_layer_of_a_broken_row() -> None:
     with pytest.raises(BoundError) as caught:
         networks.derive_networks(nets)
     assert (caught.value.layer, caught.value.row) == ("carm.1.1", 2)
-
-
-# --- at the bound -----------------------------------------------------------------------------------------------------
-
-
-def largest_scale(w: np.ndarray) -> float:
-    """The largest scale at which a row is accepted, to the last bit of the search."""
-    low, high = 0.0, 1e9
-    for _ in range(26):
-        middle = (low + high) / 2
-        try:
-            derive_layer((w * middle).astype(np.float32)[None], np.zeros(1, np.float32))
-            low = middle
-        except BoundError:
-            high = middle
-    return low
-
-
-@pytest.fixture(scope="module")
-def at_the_bound(spec: Spec) -> list[IntLayer]:
-    """Layers whose rows stand at the bound of a sum: few large weights, many small ones, a large bias, mixed signs."""
-    rng = np.random.default_rng(7)
-    found = []
-    for fan_in in (1, 4, 16, 36, 100, 128):
-        rows, biases = [], []
-        for kind in range(12):
-            w = rng.normal(0, 1, fan_in) if kind % 3 else rng.choice([-1.0, 1.0], fan_in)
-            w *= [1.0, 1e-3, 30.0, 1e-6][kind % 4]
-            row = (w * largest_scale(w)).astype(np.float32)
-            integers, _, e = spec["DERIVE_ROW"](f32_bits(row), 0)
-            left = ACCUMULATOR_BOUND - 1 - 1023 * sum(map(abs, integers)) - (1 << e) // 2
-            bias = float(np.float32(min(left, (1 << 24) - 1) >> e)) * (-1) ** kind
-            rows.append(row)
-            biases.append(bias if spec["DERIVE_ROW"](f32_bits(row), f32_bits(bias)) else 0.0)
-        found.append(derive_layer(np.array(rows, np.float32), np.array(biases, np.float32)))
-    return found
-
-
-def test_no_sum_can_pass_the_bound(at_the_bound: list[IntLayer]) -> None:
-    nearest = 0
-    for layer in at_the_bound:
-        for w, b, e in rows_of(layer):
-            half = (1 << e) // 2
-            worst = 1023 * sum(map(abs, w)) + abs(b) + half
-            assert worst < ACCUMULATOR_BOUND
-            nearest = max(nearest, worst)
-            # The largest and the smallest sum that any input can give.
-            for sign in (1, -1):
-                assert abs(sign * 1023 * sum(map(abs, w)) + b + half) <= worst
-    assert nearest > ACCUMULATOR_BOUND - 2048, "the layers do come close to the bound"
-
-
-def test_float32_sums_are_exact_in_any_order(at_the_bound: list[IntLayer]) -> None:
-    shuffle = random.Random(3)
-    for layer in at_the_bound:
-        for w, b, e in zip(layer.weight, layer.bias, layer.exponent, strict=True):
-            for sign in (1, -1):
-                terms = [*(w * (sign * 1023 * np.where(w < 0, -1, 1))).tolist(), int(b), (1 << int(e)) // 2]
-                for _ in range(3):
-                    shuffle.shuffle(terms)
-                    partial = np.cumsum(np.array(terms, np.float32), dtype=np.float32)
-                    assert partial.tolist() == np.cumsum(terms).tolist()
-
-
-@pytest.mark.parametrize("exact_float", [True, False])
-def test_networks_at_the_bound(spec: Spec, at_the_bound: list[IntLayer], exact_float: bool) -> None:
-    rng = np.random.default_rng(5)
-    for layer in at_the_bound:
-        inputs = rng.integers(-1023, 1024, (30, layer.weight.shape[1]))
-        inputs[: len(layer.weight)] = 1023 * np.where(layer.weight < 0, -1, 1)
-        inputs[12:24] = -inputs[:12]
-        found = IntNetwork([layer], exact_float)(inputs)
-        assert found.tolist() == [spec["NETWORK"]([rows_of(layer)], row) for row in inputs.tolist()]
 
 
 # --- outputs ----------------------------------------------------------------------------------------------------------

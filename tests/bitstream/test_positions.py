@@ -14,12 +14,9 @@ from conformance.cases.target import Target
 from conformance.fuzz.strategies import position_models, positions, some_positions
 from refcodec.bitstream import codec
 from refcodec.bitstream.chunks import chunk_ranges
-from refcodec.bitstream.entropy import TraceRow
-from refcodec.bitstream.errors import BitstreamError
 from refcodec.bitstream.positions import (
     CELL_INDEX,
     PACKED,
-    PositionModel,
     cell_positions,
     cells,
     chunk_codes,
@@ -29,7 +26,6 @@ from refcodec.bitstream.positions import (
 )
 from refcodec.encoder.positions import choose_cells, morton_order, pack_positions, position_model
 from refcodec.encoder.quantise import packed
-from refcodec.inspect import elements, summary, trace
 
 EVERY = np.array([b for b in range(1 << 16) if b & 0x7C00 != 0x7C00 and b != 0x8000], dtype=np.uint16)
 
@@ -125,18 +121,6 @@ def test_a_surface_is_small() -> None:
     assert packed(replace(scene, profile=0), None, "raw").position_model is None
 
 
-def test_damage_takes_one_chunk() -> None:
-    scene = pack_positions(lattice_scene(5, 900, chunk_size=256))
-    data = bytearray(codec.emit(scene))
-    data[Target(bytes(data)).part("positions", 0)[0] + 40] ^= 1
-    with pytest.raises(BitstreamError) as error:
-        codec.parse(bytes(data))
-    assert error.value.kind.name == "chunk.crc"
-    parsed = codec.parse(bytes(data), keep_going=True)
-    assert list(parsed.damage) == [0]
-    assert np.array_equal(parsed.scene.positions, scene.positions[256:])
-
-
 def test_models_that_cannot_be_written() -> None:
     scene = pack_positions(lattice_scene(6, 300, chunk_size=256))
     model = scene.position_model
@@ -148,32 +132,3 @@ def test_models_that_cannot_be_written() -> None:
     ):
         with pytest.raises(ValueError, match=r"position_model|cell_shift|model of positions"):
             codec.emit(replace(scene, position_model=bad))
-
-
-def test_inspection_and_trace() -> None:
-    scene = pack_positions(lattice_scene(7, 300, chunk_size=256))
-    data = codec.emit(scene)
-    names = [row.path for row in elements.rows(data)]
-    assert "index.position_model.cell_shift" in names
-    assert {"chunk[1].position_form", "positions[chunk 1].word"} <= set(names)
-    facts = summary.document(data, None)
-    assert facts["position_model"]["cell_shift"] == 24
-    seen: list[TraceRow] = []
-    codec.parse(data, trace=seen.append)
-    symbols = [row for row in seen if row.path.startswith("positions")]
-    assert symbols[0].path == "positions[chunk 0].level[15].low[0]"
-    assert {row.family for row in symbols} == {"cells"}
-    lines: list[str] = []
-    trace.trace(data, lines.append)
-    assert sum(line.startswith("positions[chunk 1].level[0]") for line in lines) > 2
-
-
-def test_a_model_of_its_own() -> None:
-    """What a file says of its models is kept, whoever chose them."""
-    scene = pack_positions(lattice_scene(8, 300, chunk_size=256))
-    flat = np.full((18, 16), 1024, np.uint16)
-    for model in (1, 7, 13):
-        flat[model, :2] = 0, 2048
-    other = replace(scene, position_model=PositionModel(24, flat))
-    data = codec.emit(other)
-    assert codec.emit(codec.parse(data).scene) == data != codec.emit(scene)

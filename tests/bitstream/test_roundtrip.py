@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -79,68 +80,36 @@ def test_more_anchors(scene: Scene) -> None:
     assert_round_trip(scene)
 
 
-@pytest.mark.parametrize("anchors", [0, 1, 2, 7, 8, 9])
-@pytest.mark.parametrize("chunk_size", [1, 4, 8, 65536])
-def test_anchor_counts_and_chunks(anchors: int, chunk_size: int) -> None:
-    assert_round_trip(random_scene(anchors, anchors, chunk_size=chunk_size))
+def of_plane_size(size: int) -> Scene:
+    return random_scene(size, 3, replace(TINY_DIMENSIONS, plane_size=size, plane_channels=1))
 
 
-@pytest.mark.parametrize("d", [PLANELESS, UNENCODED, CONSTANT])
-@pytest.mark.parametrize("form", ["raw", "packed"])
-def test_without_planes_or_frequencies(d: Dimensions, form: str) -> None:
-    assert_round_trip(packed(random_scene(5, 9, d, chunk_size=4), form, form))
-
-
-def test_the_default_dimensions_of_scaffold_gs() -> None:
-    """32 features in one slice, 10 offsets, width 32: a scene of Main without a hyperprior."""
-    d = Dimensions(10, (32,), 0, 0, 0, (), (), (), 32)
-    assert_round_trip(packed(random_scene(6, 300, d, profile=MAIN, chunk_size=256), None, None))
-
-
-@pytest.mark.parametrize("size", range(2, 33))
-def test_plane_sizes(size: int) -> None:
-    assert_round_trip(random_scene(size, 3, replace(TINY_DIMENSIONS, plane_size=size, plane_channels=1)))
-
-
-@pytest.mark.parametrize("log2", range(9))
-def test_lanes(log2: int) -> None:
-    assert_round_trip(random_scene(log2, 40, chunk_size=17, lanes=Lanes(log2, log2, log2)))
-
-
-@pytest.mark.parametrize("keep", [0.0, 1.0])
-def test_no_offset_and_every_offset(keep: float) -> None:
-    assert_round_trip(random_scene(1, 12, chunk_size=5, keep=keep))
-
-
-def test_all_masked_but_one() -> None:
+def all_masked_but_one() -> Scene:
     scene = random_scene(2, 12, chunk_size=5, keep=0.0)
     scene.masks[7, 1] = True
     scene.attributes.offsets[7, 1] = 5, -6, 7
-    assert_round_trip(scene)
+    return scene
 
 
-@pytest.mark.parametrize("value", [ATTRIBUTE_SYMBOL_MAX, -ATTRIBUTE_SYMBOL_MAX])
-def test_longest_escapes(value: int) -> None:
+def longest_escapes(sign: int) -> Scene:
     """The narrowest distributions and the largest symbols: every value is an escape of the greatest length."""
     scene = random_scene(3, 6, gain=0.0)
     scene.networks["hyper"][-1][1][:] = -320.0
-    scene.attributes.features[:] = value
-    scene.attributes.offsets[scene.masks] = value
-    scene.planes[:] = np.sign(value) * 32767
-    assert_round_trip(with_steps(scene))
+    scene.attributes.features[:] = sign * ATTRIBUTE_SYMBOL_MAX
+    scene.attributes.offsets[scene.masks] = sign * ATTRIBUTE_SYMBOL_MAX
+    scene.planes[:] = sign * 32767
+    return with_steps(scene)
 
 
-@pytest.mark.parametrize("bias", [150.0, 1e6])
-def test_most_raw_bits(bias: float) -> None:
+def most_raw_bits(bias: float) -> Scene:
     """The widest distributions: sixteen raw bits a value."""
     scene = random_scene(4, 9, gain=0.0, spread=100000)
     scene.networks["hyper"][-1][1][17:34] = bias
     scene.networks["sarm"][-1][1][1] = bias
-    assert_round_trip(with_steps(scene))
+    return with_steps(scene)
 
 
-@pytest.mark.parametrize("sign", [1, -1])
-def test_extreme_weights(sign: int) -> None:
+def extreme_weights(sign: int) -> Scene:
     """Every row at the accumulator bound: the largest outputs of F_h, SARM and CARM, for means and scales alike."""
     scene = random_scene(10, 9, chunk_size=4)
     for layers in scene.networks.values():
@@ -148,17 +117,66 @@ def test_extreme_weights(sign: int) -> None:
             weight[:] = sign * min(1023, ((1 << 24) - 1) // (1023 * weight.shape[1]))
             bias[:] = 0
     scene.positions[:3] = 65504, -65504, 2.0**-24
-    assert_round_trip(with_steps(scene))
+    return with_steps(scene)
 
 
-@pytest.mark.parametrize("value", [1e-45, -1e-45, -0.0, 2.0**-126])
-def test_tiny_weights(value: float) -> None:
-    """Weights that are zero in integers, of either sign and subnormal, come back bit for bit."""
+def equal_weights(value: float) -> Scene:
     scene = random_scene(11, 9, chunk_size=4)
     for layers in scene.networks.values():
         for weight, bias in layers:
             weight[:], bias[:] = value, value
-    assert_round_trip(with_steps(scene))
+    return with_steps(scene)
+
+
+def largest_planes() -> Scene:
+    scene = random_scene(6, 0, replace(MAIN_DIMENSIONS, plane_size=256), lanes=Lanes(8, 0, 0), gain=0.0)
+    scene.networks["sarm"][-1][1][1] = 20
+    return scene
+
+
+# Repeated ones, empty ones, private ones, before each critical section and behind the last.
+SECTIONS = [Ancillary(b"noTE", after, bytes(after), after) for after in range(6)]
+SECTIONS[3:3] = [Ancillary(b"noTE", 255, b"abc", 3), Ancillary(b"prIv", 9, b"\x0borg.example" + bytes(300), 3)]
+SPECIAL: dict[str, Callable[[], Scene]] = {
+    **{
+        f"{n} anchors in chunks of {size}": lambda n=n, size=size: random_scene(n, n, chunk_size=size)  # type: ignore[misc]
+        for n, size in ((0, 1), (1, 1), (8, 1), (2, 4), (7, 4), (8, 4), (9, 4), (9, 8), (9, 65536))
+    },
+    **{f"planes of {size}": lambda size=size: of_plane_size(size) for size in (2, 3, 4, 5, 31, 32)},  # type: ignore[misc]
+    **{
+        f"2^{n} lanes": lambda n=n: random_scene(n, 40, chunk_size=17, lanes=Lanes(n, n, n))  # type: ignore[misc]
+        for n in range(9)
+    },
+    **{
+        f"{d}, {form}": lambda d=d, form=form: packed(random_scene(5, 9, d, chunk_size=4), form, form)  # type: ignore[misc]
+        for d in (PLANELESS, UNENCODED, CONSTANT)
+        for form in ("raw", "packed")
+    },
+    # 32 features in one slice, 10 offsets, width 32: a scene of Main without a hyperprior.
+    "Scaffold-GS": lambda: packed(
+        random_scene(6, 300, Dimensions(10, (32,), 0, 0, 0, (), (), (), 32), profile=MAIN, chunk_size=256), None, None
+    ),
+    "Main": lambda: random_scene(5, 700, MAIN_DIMENSIONS, chunk_size=256),
+    "the largest planes": largest_planes,
+    "no offset": lambda: random_scene(1, 12, chunk_size=5, keep=0.0),
+    "every offset": lambda: random_scene(1, 12, chunk_size=5, keep=1.0),
+    "all masked but one": all_masked_but_one,
+    "the largest symbols": lambda: longest_escapes(1),
+    "the smallest symbols": lambda: longest_escapes(-1),
+    "most raw bits": lambda: most_raw_bits(150.0),
+    "scales beyond the tables": lambda: most_raw_bits(1e6),
+    "the largest weights": lambda: extreme_weights(1),
+    "the smallest weights": lambda: extreme_weights(-1),
+    # Weights that are zero in integers, of either sign and subnormal, come back bit for bit.
+    **{f"weights of {x}": lambda x=x: equal_weights(x) for x in (1e-45, -1e-45, -0.0, 2.0**-126)},  # type: ignore[misc]
+    "ancillary sections": lambda: replace(random_scene(7, 3), ancillary=tuple(SECTIONS)),
+}
+
+
+@pytest.mark.requirement("D12.1-1")
+@pytest.mark.parametrize("name", SPECIAL)
+def test_special_scenes(name: str) -> None:
+    assert_round_trip(SPECIAL[name]())
 
 
 def test_every_chunk_size() -> None:
@@ -182,24 +200,6 @@ def test_grouping(monkeypatch: pytest.MonkeyPatch, together: tuple[int, int]) ->
     found = codec.parse(data).scene
     assert reconstruction.digest(found) == reconstruction.digest(scene)
     assert codec.emit(found) == data
-
-
-def test_main() -> None:
-    assert_round_trip(random_scene(5, 700, MAIN_DIMENSIONS, chunk_size=256))
-
-
-def test_main_largest_planes() -> None:
-    scene = random_scene(6, 0, replace(MAIN_DIMENSIONS, plane_size=256), lanes=Lanes(8, 0, 0), gain=0.0)
-    scene.networks["sarm"][-1][1][1] = 20
-    assert_round_trip(scene)
-
-
-@pytest.mark.requirement("D12.1-1")
-def test_ancillary_sections_come_back() -> None:
-    """Repeated ones, empty ones, private ones, before each critical section and behind the last."""
-    sections = [Ancillary(b"noTE", after, bytes(after), after) for after in range(6)]
-    sections[3:3] = [Ancillary(b"noTE", 255, b"abc", 3), Ancillary(b"prIv", 9, b"\x0borg.example" + bytes(300), 3)]
-    assert_round_trip(replace(random_scene(7, 3), ancillary=tuple(sections)))
 
 
 @pytest.mark.parametrize(

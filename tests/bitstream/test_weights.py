@@ -12,13 +12,11 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from spec_numbers import f32_bits
 
-from conformance import spec_decoder
 from conformance.cases.scenes import MAIN_DIMENSIONS, random_scene
-from refcodec.bitstream import codec, directory, reconstruction
+from refcodec.bitstream import codec, directory
 from refcodec.bitstream.codec import parse_container
 from refcodec.bitstream.conventions import f32_parts
 from refcodec.bitstream.dimensions import layers_of
-from refcodec.bitstream.entropy import TraceRow
 from refcodec.bitstream.networks import IntNetwork, derive_layer
 from refcodec.bitstream.weights import (
     WEIGHT_EXPONENT_MAX,
@@ -29,7 +27,6 @@ from refcodec.bitstream.weights import (
 )
 from refcodec.encoder.quantise import packed
 from refcodec.encoder.weights import RENDERING, exact_networks, pack_weights, quantise_rendering
-from refcodec.inspect import elements, trace
 
 FINITE = st.floats(width=32, allow_nan=False, allow_infinity=False)
 GRID = st.tuples(st.integers(-WEIGHT_SYMBOL_MAX, WEIGHT_SYMBOL_MAX), st.integers(-149, 104)).map(
@@ -140,7 +137,7 @@ def test_rendering_networks_on_a_grid(bits: int) -> None:
 
 
 def test_a_scene_of_grids() -> None:
-    """Its weights take less than a third of mode 0, every symbol stays, and the text decodes it."""
+    """Its weights take less than a third of mode 0, and every symbol stays."""
     scene = random_scene(3, 20, MAIN_DIMENSIONS, chunk_size=256)
     small = pack_weights(replace(scene, networks=quantise_rendering(scene.networks, 6)))
     data, raw = codec.emit(small), codec.emit(scene)
@@ -164,15 +161,6 @@ def test_a_scene_of_grids() -> None:
     assert packed(scene, "raw", None).weight_scales is not None
 
 
-def test_the_text_decodes_it(spec: dict) -> None:
-    scene = pack_weights(random_scene(4, 5))
-    data = codec.emit(scene)
-    found, error = spec_decoder.verdict(spec, data)
-    assert error is None
-    assert found is not None
-    assert bytes(found["scene"]).hex() == reconstruction.digest(codec.parse(data).scene)[0]
-
-
 def test_scales_that_cannot_be_written() -> None:
     scene = pack_weights(random_scene(5, 2))
     assert scene.weight_scales is not None
@@ -184,17 +172,3 @@ def test_scales_that_cannot_be_written() -> None:
         codec.emit(replace(scene, weight_scales=wrong))
     with pytest.raises(ValueError, match="weight_scales is"):
         codec.emit(replace(scene, weight_scales=wrong[1:]))
-
-
-def test_inspection_and_trace() -> None:
-    data = codec.emit(pack_weights(random_scene(6, 2)))
-    names = {row.path for row in elements.rows(data)}
-    assert {"weights.hyper.0.form", "weights.opacity.0.weight", "weights.word", "weights.symbol_crc"} <= names
-    seen: list[TraceRow] = []
-    codec.parse(data, trace=seen.append)
-    symbols = [row.path for row in seen if row.path.startswith("weights")]
-    assert symbols[0] == "weights.hyper.0.exponent[0]"
-    assert "weights.carm.1.1.bias[0]" in symbols
-    lines: list[str] = []
-    trace.trace(data, lines.append)
-    assert sum(line.startswith("weights.sarm.0.weight[") for line in lines) == 16

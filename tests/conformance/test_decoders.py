@@ -51,7 +51,8 @@ def test_files(decoders: Decoders, name: str) -> None:
     decoders.agreed(FILES[name], accepted(SCENES[name]))
 
 
-@pytest.mark.requirement("D15.4-1", "D7.7-1", "D7.8-1", "D7.9-1", "D7.10-1", "DH-1")
+@pytest.mark.requirement("D7.3-1", "D7.6-1", "D7.7-1", "D7.8-1", "D7.9-1", "D7.10-1", "D7.12-1", "D7.13-1")
+@pytest.mark.requirement("D9.2-1", "D9.3-1", "D12.1-1", "D15.4-1", "DH-1")
 @settings(max_examples=25)
 @given(scenes(max_anchors=8))
 def test_any_scene(decoders: Decoders, scene: Scene) -> None:

@@ -127,16 +127,8 @@ def test_ply_layout(scene, made):
     assert np.array_equal(vertex["f_mask_1"], scene.masks[:, 1])
     assert np.array_equal(vertex["f_anchor_feat_4"], values.features[:, 4])
     assert np.array_equal(vertex["scale_5"], values.scalings[:, 5])
-    assert [vertex[n][0] for n in ("nx", "ny", "nz", "opacity", "rot_0", "rot_1", "rot_2", "rot_3")] == [
-        0,
-        0,
-        0,
-        0,
-        1,
-        0,
-        0,
-        0,
-    ]
+    fixed = ("rot_0", "nx", "ny", "nz", "opacity", "rot_1", "rot_2", "rot_3")
+    assert [vertex[name][0] for name in fixed] == [1, *[0] * 7]
 
 
 def test_names_of_networks(scene, made):
@@ -185,26 +177,6 @@ def test_interrupted_while_writing(scene, made, tmp_path, monkeypatch):
             write_folder(random_scene(12, 4), path)
     assert {p.name: p.read_bytes() for p in made.iterdir()} == before
     assert not (tmp_path / "new").exists()
-
-
-@pytest.mark.parametrize("count", [0, 1, 3, 6, 8])
-def test_interrupted_while_moving(made, monkeypatch, count):
-    """After any number of moves the folder is as it was before them."""
-    before = {p.name: p.read_bytes() for p in made.iterdir()}
-    moves = []
-    move = os.rename
-
-    def limited(source, target):
-        moves.append(source)
-        if len(moves) == count + 1:
-            raise KeyboardInterrupt
-        move(source, target)
-
-    monkeypatch.setattr(os, "rename", limited)
-    with pytest.raises(KeyboardInterrupt):
-        write_folder(random_scene(12, 4), made)
-    assert len(moves) > count
-    assert {p.name: p.read_bytes() for p in made.iterdir()} == before
 
 
 # --- reading ----------------------------------------------------------------------------------------------------------
@@ -283,21 +255,6 @@ def test_no_field_of_scene_json_is_trusted(made):
     assert accepted >= 20  # chunk_size, background and the like have other allowed values
 
 
-@pytest.mark.parametrize(
-    "text",
-    ['{"format": "C3GS scene", "version": NaN}', '{"format": "C3GS scene", "version": 1}', '{"format": "other"}'],
-)
-def test_other_json(made, text):
-    (made / "scene.json").write_text(text)
-    refused(made, "scene.json")
-
-
-def test_not_a_number_in_json(made):
-    text = (made / "scene.json").read_text()
-    (made / "scene.json").write_text(text.replace('"near_plane": 0.2', '"near_plane": NaN'))
-    refused(made, "scene.json", "a number is nan")
-
-
 def test_an_ancillary_section_stays_inside_the_folder(made):
     text = (made / "scene.json").read_text()
     (made / "scene.json").write_text(text.replace("ancillary_0_noTe.bin", "../secret"))
@@ -305,9 +262,10 @@ def test_an_ancillary_section_stays_inside_the_folder(made):
 
 
 def change_array(file: Path, name: str, change) -> None:
+    """change: of the array, or None, which leaves it out."""
     arrays = load_file(file)
-    arrays[name] = change(arrays[name])
-    save_file(arrays, file)
+    array = arrays.pop(name, None)
+    save_file(arrays if change is None else {**arrays, name: change(array)}, file)
 
 
 def put(index, value):
@@ -330,7 +288,8 @@ def put(index, value):
         ("coded", "positions", lambda a: a[:-1].copy(), ("positions", "29")),
         ("coded", "masks", put((0, 0), 2), ("mask",)),
         ("coded", "steps", put((0, 0), 255), ("step",)),
-        ("coded", "surplus", None, ("surplus", "not known")),
+        ("coded", "surplus", lambda a: np.zeros(1, np.int32), ("surplus", "not known")),
+        ("coded", "steps", None, ("steps", "missing")),
         ("planes", "planes", put((0, 0, 0, 0), -32768), ("-32768",)),
         ("planes", "planes", lambda a: a[:4].copy(), ("planes",)),
         ("planes", "planes", put((0, 0, 0, 0), 99), ("digest.planes",)),
@@ -340,19 +299,8 @@ def put(index, value):
     ],
 )
 def test_wrong_arrays(made, file, name, change, words):
-    path = made / f"{file}.safetensors"
-    if change is None:
-        save_file({**load_file(path), name: np.zeros(1, np.int32)}, path)
-    else:
-        change_array(path, name, change)
+    change_array(made / f"{file}.safetensors", name, change)
     refused(made, *words)
-
-
-def test_missing_array(made):
-    arrays = load_file(made / "coded.safetensors")
-    del arrays["steps"]
-    save_file(arrays, made / "coded.safetensors")
-    refused(made, "steps", "missing")
 
 
 def test_masked_offset_is_zero(made, scene):
@@ -477,17 +425,8 @@ def test_requantised_reconstruction_is_the_same_scene(made, scene):
         assert np.array_equal(getattr(found.attributes, kind), getattr(wanted.attributes, kind)), kind
     assert found.positions.tobytes() == wanted.positions.tobytes()
     assert np.array_equal(found.masks, wanted.masks)
-    for name in (
-        "grid",
-        "render",
-        "lanes",
-        "chunk_size",
-        "base_step",
-        "profile",
-        "dimensions",
-        "plane_shift",
-        "ancillary",
-    ):
+    kept = ("grid", "render", "lanes", "chunk_size", "base_step", "profile", "dimensions", "plane_shift", "ancillary")
+    for name in kept:
         assert getattr(found, name) == getattr(scene, name), name
     codec.parse(codec.emit(found))
 
@@ -507,19 +446,11 @@ def test_edited_ply_is_quantised(made, scene):
 def trained(path: Path, masks: np.ndarray | None, count: int = 4) -> dict[str, np.ndarray]:
     """A point cloud as HAC writes it, K = 2, F = 3, with properties that nobody asked for."""
     rng = np.random.default_rng(0)
-    names = [
-        "x",
-        "y",
-        "z",
-        "nx",
-        "ny",
-        "nz",
-        *(f"f_offset_{i}" for i in range(6)),
-        *(f"f_anchor_feat_{i}" for i in range(3)),
-    ]
-    names += ["opacity", *(f"scale_{i}" for i in range(6)), *(f"rot_{i}" for i in range(4))]
+    sizes = {"f_offset": 6, "f_anchor_feat": 3, "scale": 6, "rot": 4, "f_mask": 0 if masks is None else masks.shape[1]}
+    names = [*"xyz", "nx", "ny", "nz", "opacity", *(f"{stem}_{i}" for stem, size in sizes.items() for i in range(size))]
     columns = {name: rng.normal(size=count).astype(np.float32) for name in names}
-    columns |= {} if masks is None else {f"f_mask_{k}": masks[:, k].astype(np.float32) for k in range(masks.shape[1])}
+    for k in range(sizes["f_mask"]):
+        columns[f"f_mask_{k}"] = np.asarray(masks)[:, k].astype(np.float32)
     table = np.empty(count, [(name, "<f4") for name in columns])
     for name, column in columns.items():
         table[name] = column
@@ -560,13 +491,20 @@ def test_read_cloud_of_a_scene_folder(made, scene):
 
 
 @pytest.mark.parametrize(
-    ("prefix", "words"),
-    [("scale_5", "5 properties scale_"), ("f_offset", "f_offset"), ("z", "xyz"), ("f_anchor", "feat")],
+    ("change", "words"),
+    [
+        (without("scale_5"), "5 properties scale_"),
+        (without("f_offset"), "f_offset"),
+        (without("f_offset_2"), "numbered"),
+        (without("z"), "xyz"),
+        (without("f_anchor"), "feat"),
+        (lambda t: put(0, np.nan)(t["scale_0"]) is None or t, "NaN"),
+    ],
 )
-def test_read_cloud_refuses(tmp_path, prefix, words):
+def test_read_cloud_refuses(tmp_path, change, words):
     file = tmp_path / "p.ply"
     trained(file, None)
-    rewrite_ply(file, without(prefix))
+    rewrite_ply(file, change)
     with pytest.raises(SceneFolderError, match=words):
         ply.read_cloud(file)
 
@@ -578,17 +516,7 @@ def test_read_cloud_refuses_more(tmp_path):
     trained(file, np.ones((4, 3)))
     with pytest.raises(SceneFolderError, match="f_mask_"):
         ply.read_cloud(file)
-    trained(file, None)
-    rewrite_ply(file, without("f_offset_2"))
-    with pytest.raises(SceneFolderError, match="numbered"):
-        ply.read_cloud(file)
-    trained(file, None)
-    rewrite_ply(file, lambda t: put(0, np.nan)(t["scale_0"]) is None or t)
-    with pytest.raises(SceneFolderError, match="NaN"):
-        ply.read_cloud(file)
-    file.write_bytes(
-        b"ply\nformat ascii 1.0\nelement vertex 1\n"
-        b"property list uchar float x\nproperty float y\nproperty float z\nend_header\n1 2 3 4\n"
-    )
+    lines = ["property list uchar float x", "property float y", "property float z", "end_header", "1 2 3 4", ""]
+    file.write_text("\n".join(["ply", "format ascii 1.0", "element vertex 1", *lines]))
     with pytest.raises(SceneFolderError, match="a property of lists"):
         ply.read_cloud(file)

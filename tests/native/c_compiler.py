@@ -32,6 +32,10 @@ def build_kernel(folder: Path, **environment: str) -> Path:
     done = subprocess.run(
         command, cwd=ROOT, env={**os.environ, **environment}, capture_output=True, text=True, check=False
     )
-    path = folder / "refcodec" / "native" / library.LIBRARY.name
-    assert path.is_file(), done.stdout + done.stderr
-    return path
+    assert kernel_in(folder).is_file(), done.stdout + done.stderr
+    return kernel_in(folder)
+
+
+def kernel_in(folder: Path) -> Path:
+    """The library in a folder that it was built in."""
+    return folder / "refcodec" / "native" / library.LIBRARY.name

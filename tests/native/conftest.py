@@ -9,7 +9,8 @@ import os
 from pathlib import Path
 
 import pytest
-from c_compiler import COMPILER, Use, build_kernel
+from c_compiler import COMPILER, Use, build_kernel, kernel_in
+from once import once
 
 from refcodec.native import library
 
@@ -21,7 +22,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
         return Path(made)
     if COMPILER is None:
         pytest.skip("there is no C compiler")
-    return build_kernel(tmp_path_factory.mktemp("kernel"))
+    return kernel_in(once(tmp_path_factory, "kernel", build_kernel))
 
 
 @pytest.fixture
