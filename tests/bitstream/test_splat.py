@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -63,6 +64,9 @@ def test_any_values(spec: dict[str, Any]) -> None:
         bits = [getattr(values, kind)[n].reshape(-1).view(np.uint32).tolist() for kind in vars(values)]
         wanted += spec["SPLAT"](rows, *bits, masks[n].tolist())
     assert found.reshape(-1).tolist() == wanted
+    # The native kernel, where it is built.
+    stand_in: Any = SimpleNamespace(networks=scene.networks, masks=masks, dimensions=d, anchor_count=count)
+    assert reconstruction.gaussians(stand_in, values).tobytes() == found.tobytes()
 
 
 def test_the_exponential_is_near(spec: dict[str, Any]) -> None:

@@ -460,6 +460,59 @@ for number, path in enumerate(sorted(Path(sys.argv[2]).iterdir())):
 print("done")
 """
 
+# SPLAT (SPEC 9.4) of sizes, numbers and room that no file gives, in blocks of their sizes, with and without gaps.
+SANITIZED_SPLAT = """
+import itertools, sys
+from pathlib import Path
+import numpy as np
+from refcodec.bitstream.dimensions import RENDERING
+from refcodec.bitstream.networks import IntLayer, IntNetwork
+from refcodec.bitstream.splat import splat
+from refcodec.native import library
+found = library.load(Path(sys.argv[1]))
+rng = np.random.default_rng(94)
+EXTREME = [0.0, -0.0, 1e-45, -1e30, 3e38, -3e38, np.inf, -np.inf, np.nan]
+
+def places(*arrays):
+    return [array.ctypes.data for array in arrays]
+
+def networks(inputs, width, k, colours):
+    def layer(outputs, own):
+        return rng.integers(-100, 100, (outputs, own)), rng.integers(-9999, 9999, outputs), rng.integers(0, 12, outputs)
+    layers = [layer(*shape) for n in (1, 7, colours) for shape in ((width, inputs), (n * k, width))]
+    flat = [np.concatenate([part.ravel() for part in parts]) for parts in zip(*layers)]
+    joined = [part.astype(kind) for part, kind in zip(flat, ("i2", "i4", "u1"))]
+    return found.kernel_splatter_new(inputs, width, k, colours, *places(*joined)), layers
+
+for sizes in ((0, 7, 3, 3), (129, 7, 3, 3), (5, 0, 3, 3), (5, 129, 3, 3), (5, 7, 0, 3), (5, 7, 17, 3), (5, 7, 3, 49)):
+    assert not networks(*sizes)[0]
+for sizes, n in itertools.product(((5, 7, 3, 12), (1, 1, 1, 3), (50, 128, 16, 48), (128, 9, 10, 27)), (0, 1, 5)):
+    made, layers = networks(*sizes)
+    inputs, _, k, colours = sizes
+    columns = (3, 3, 4, 1, colours)
+    masks = rng.random((n, k)) < 0.6
+    kept = int(masks.sum())
+    for extreme in (False, True):
+        values = [rng.normal(0, size, (n, *shape)).astype("f4") for size, shape in (
+            (1, (3,)), (600, (inputs,)), (12, (6,)), (1, (k, 3)))]
+        for value in values if extreme else ():
+            value.ravel()[rng.random(value.size) < 0.3] = rng.choice(EXTREME)
+        for room in {kept, max(kept - 1, 0)}:
+            rows = np.empty((room, 11 + colours), "f4")
+            apart = [np.empty((room, width), "f4") for width in columns]
+            given = [made, n, *places(values[0], masks, *values[1:]), room]
+            starts = [rows.ctypes.data + 4 * at for at in (0, 3, 6, 10, 11)]
+            counts = {found.kernel_splat(*given, 11 + colours, *starts), found.kernel_splat(*given, 0, *places(*apart))}
+            assert counts == {kept if room == kept else library.REFUSED}
+            if room == kept:
+                assert np.hstack(apart).tobytes() == rows.tobytes()
+            if room == kept and not extreme:
+                own = [IntNetwork([IntLayer(*layer) for layer in layers[i : i + 2]]) for i in (0, 2, 4)]
+                assert splat(dict(zip(RENDERING, own)), *values, masks).tobytes() == rows.tobytes()
+    found.kernel_free(made)
+print("done")
+"""
+
 
 def planted(data: bytes, rng: np.random.Generator) -> Iterator[bytes]:
     """The file with faults in the parts of its chunks and in its planes, checksums right."""
@@ -486,7 +539,7 @@ def test_sanitizers_are_silent(tmp_path: Path) -> None:
     """Over some vectors, the large files, and these with each part of each chunk cut and changed.
 
     The target of the fuzzer in C (tests/conformance/test_fuzz.py) runs the kernel on the vectors and on what its
-    mutator makes of them, in blocks of exactly their sizes. Here are its binding and its threads.
+    mutator makes of them, in blocks of exactly their sizes. Here are its binding and its threads, and SPLAT.
     """
     flags = ["-std=gnu11", "-O1", "-g", "-Wall", "-Wextra", "-Werror", "-fPIC", "-shared", "-fvisibility=hidden"]
     flags += ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-pthread"]
@@ -501,6 +554,7 @@ def test_sanitizers_are_silent(tmp_path: Path) -> None:
         (folder / f"{i:05}").write_bytes(data)
     # Python itself leaks.
     environment = {**os.environ, "LD_PRELOAD": str(sanitizer()), "ASAN_OPTIONS": "detect_leaks=0"}
-    command = [sys.executable, "-c", SANITIZED, str(built), str(folder)]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stdout) == (0, "done\n"), done.stderr[-3000:]
+    for program in (SANITIZED_SPLAT, SANITIZED):
+        command = [sys.executable, "-c", program, str(built), str(folder)]
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+        assert (done.returncode, done.stdout) == (0, "done\n"), done.stderr[-3000:]
