@@ -6,6 +6,7 @@ recorded while SPEC.md's blocks decode.
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Iterator
 from typing import Any
 
@@ -225,7 +226,8 @@ def cell_steps(data: bytes) -> str:
     content = _content(data, "positions[chunk 0].")
     models = [f"| {n} | {', '.join(map(str, model.frequency[n].tolist()))} |" for n in sorted(used)]
     head = ["```text", content, "```", "", "| model | frequencies |", "|---|---|", *models, ""]
-    return "\n".join([*head, *lines, "", f"The cells are {', '.join(map(str, nodes))}."])
+    cells = textwrap.fill(f"The cells are {', '.join(map(str, nodes))}.", 120)
+    return "\n".join([*head, *lines, "", cells])
 
 
 def layer_steps(data: bytes) -> str:

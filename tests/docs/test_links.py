@@ -1,4 +1,4 @@
-"""Every link in a Markdown file leads to an existing file and heading."""
+"""Every link in a Markdown file leads to an existing file and heading, and lines of prose are not too long."""
 
 from __future__ import annotations
 
@@ -75,3 +75,17 @@ def test_a_wrong_link_is_seen() -> None:
     text = right + " ".join(f"[w]({link})" for link in bad[:4]) + f'<img alt="p" src="{bad[4]}">'
     assert wrong(ROOT / "docs" / "index.md", text) == bad
     assert anchors("# `a_b` c: d\n## x\n## x\n```\n# no\n```\n") == {"a_b-c-d", "x", "x-1"}
+
+
+def test_prose_has_at_most_120_columns() -> None:
+    """The hook `columns` of .pre-commit-config.yaml, over all files."""
+    hook = (ROOT / ".pre-commit-config.yaml").read_text(encoding="utf-8").partition("- id: columns")[2]
+    too_long, left_out = (re.findall(rf"^ +{key}: '?(.+?)'?$", hook, re.MULTILINE)[0] for key in ("entry", "exclude"))
+    assert re.match(too_long, "word " * 25)
+    assert [
+        f"{path}:{number}"
+        for path in markdown_files()
+        if not re.search(left_out, path.relative_to(ROOT).as_posix())
+        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1)
+        if re.match(too_long, line)
+    ] == []
