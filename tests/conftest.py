@@ -1,6 +1,6 @@
 """What all tests share: profiles of hypothesis, SPEC.md's blocks, and an environment that is the same on every machine.
 
-Profiles: `ci` is derandomised; HYPOTHESIS_PROFILE=long looks longer and at random.
+Profiles: `ci` is derandomised; HYPOTHESIS_PROFILE=long looks longer and at random, `smoke` only briefly.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ _SLOW = [HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.filter_to
 settings.register_profile(
     "ci", derandomize=True, deadline=None, max_examples=60, suppress_health_check=_SLOW, print_blob=True
 )
+settings.register_profile("smoke", settings.get_profile("ci"), max_examples=8)
 settings.register_profile("long", deadline=None, max_examples=3000, suppress_health_check=_SLOW, print_blob=True)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "ci"))
 
