@@ -814,8 +814,19 @@ def _shapes(_: Proof, b: dict[str, Any]) -> None:
 
 @proves("WORK: 11.2")
 def _work(_: Proof, b: dict[str, Any]) -> None:
-    v = sizes(b, COUNTERS)
-    Path.now.must(v["anchor_count"][0] <= highest(b)["anchor_count"])
+    """The weights of SARM have a bound of their own: they share no list of widths with the others."""
+    count, path = b["WEIGHT_COUNT"], Path.now
+    high = {name: high for name, _, high in b["BOUNDS"][1]}
+    items = {name: high[counter] for name, _, counter in b["LISTS"] if counter in high}
+    sarm = count({name: [high[name]] * items.get(name, 1) for name in high}, ["sarm"])
+    if path.take(lambda: [True, False]):
+        path.oblige(
+            count(sizes(b, ("sarm_layers",)), ["sarm"]) <= sarm, "more weights of SARM than with the most layers"
+        )
+        return
+    b["WEIGHT_COUNT"] = lambda v, names: fresh(0, sarm, "sarm") if names == ["sarm"] else count(v, names)
+    v = sizes(b, ("slice_count", "hyper_layers", "carm_layers"))
+    path.must(v["anchor_count"][0] <= highest(b)["anchor_count"])
     b["WORK"](v)
 
 
