@@ -35,7 +35,7 @@ def claiming(chunks: int) -> bytes:
 @pytest.mark.parametrize("options", [["--decode"], ["--json", "--decode"], ["--near", "3000"]])
 def test_a_rejected_file_takes_memory_as_it_is_long(options: list[str], tmp_path: Path) -> None:
     file = tmp_path / "claimed.c3gs"
-    file.write_bytes(claiming(600_000))
+    file.write_bytes(claiming(200_000))
     status, least = measured(["inspect", str(EXAMPLE), *options])
     assert status == 0
     status, most = measured(["inspect", str(file), *options])
