@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from random_scenes import random_scene
 
 import refcodec
-from conformance.cases.scenes import random_scene
 from refcodec.bitstream.codec import emit
 from refcodec.bitstream.directory import DATA
 from refcodec.bitstream.header import Lanes

@@ -1,114 +1,75 @@
 """The suite's cases by chapter, and the faults of files.
 
-Each chapter of SPEC.md has a module with its valid files, refused files and faults. It has the name of the module for
-the same clauses in refcodec/bitstream. Long chapters have several modules:
+Each chapter of SPEC.md has a module with its faults and with CASES, tables of its vectors. It has the name of the
+module for the same clauses in refcodec/bitstream. Long chapters have several modules:
 
     header, dimensions, limits                                 the header
     directory, ancillary                                       sections, and those that a decoder skips
-    weights_raw, weights_packed, weights_forms                 weights
-    index, chunks, chunk_sizes                                 the index and the chunks
-    entropy_values, entropy_escapes, entropy_substreams        the entropy coder
+    networks, weights_packed                                   weights
+    index, chunks                                              the index and the chunks
+    entropy_symbols, entropy_substreams                        the entropy coder
 
 Modules for other subjects:
 
-    order_header, order_sections   two faults in one file (10.1)
-    order_weights                  two faults of the weights
-    static                         static scenes: plain Gaussians (9.4)
-    resource                       small files that require much memory or time (13.1)
-    cameras                        Gaussians for cameras (14)
-    whole                          trained and unusual scenes
-
-A new case is an entry in the module of its chapter. A new fault is a function there, with a function that draws its
-parameters (fault.py).
+    order        two faults in one file (10.1)
+    resource     small files that require much memory or time (13.1)
+    static       static scenes: plain Gaussians (9.4)
+    cameras      Gaussians for cameras (14)
+    whole        trained and unusual scenes
 
 Helper modules:
 
-    book, fault         definitions of a case and of a fault
-    target, checksums   elements of a valid file, and repair of checksums
-    targets             the valid files to which faults are applied
-    scenes, cells       valid scenes and parts of them, and positions as cells
-    chain               files with two faults
-    samplers, numbers   invented symbols, and integers that are the same on every machine
-    suite               writes files and the manifest from the cases
-    features, flags     attributes of a vector in the manifest
+    table, fault         tables of cases, and definitions of faults
+    target, checksums    elements of a valid file, and repair of checksums
+    targets              the valid files to which faults are applied
+    scenes, weights      valid scenes and parts of them
+    samplers, numbers    invented symbols, and integers that are the same on every machine
+    suite                writes files and the manifest from the cases
+    features, flags      attributes of a vector in the manifest
+
+A new case takes a row:
+
+1. Choose the table: in CASES of the chapter's module, one with rows of the same kind. table.py has an example of each.
+2. Add the row. Its name is the identifier without the class (`invalid-` and so on), new and permanent. Its title, a
+   phrase in lower case, states the contents or the fault. What follows depends on the kind of the table:
+   - `refused`: a valid file (targets.py), a fault, and its arguments. The file may be left out if it is `plain`. The
+     fault gives the expected error and its offset.
+   - `chain`: a fault and its arguments. Each link is a file with this fault and the next one, and the links are in the
+     order of checks. A new link goes to an end; between two links, whose vector it would remove, it needs a chain of
+     its own with both. `ordered`: several faults that are not neighbours.
+   - `valid`: a function that returns a scene, and its arguments. Usual ones are `scene` and `only_symbols` (scenes.py)
+     and `with_weights` (weights.py), for fields, symbols and weights of given values, and `drawn` (samplers.py), for
+     symbols of the models.
+3. Run `conformance generate -o vectors`. It fails if refcodec decides otherwise, and appends the vector to the
+   manifest. Then run `pytest tests/conformance/test_vectors.py`.
+
+A family of cases is a comprehension: a row for each field, width or rounding, such as those of `lanes` in header.py.
+
+A fault that is not defined yet is an `element` with a wrong value, a byte of `padding`, a file that `ends` early, or a
+function of some lines with the decorator `fault` (fault.py). It also says how the fuzzer and the tests draw arguments.
 """
 
 from __future__ import annotations
 
 import json
+from importlib import import_module
 from types import ModuleType
 
 from ..manifest import MANIFEST, VECTORS
-from .book import Book, Recipe
 from .fault import FAULTS, Fault
+from .table import Recipe
+
+# fmt: off
+_CHAPTERS = (
+    "header", "limits", "dimensions", "directory", "ancillary", "weights_packed", "networks", "planes", "index",
+    "chunks", "positions", "context", "attributes", "entropy_symbols", "entropy_substreams", "order", "resource",
+    "whole", "static", "cameras")
+# fmt: on
 
 
 def chapters() -> tuple[ModuleType, ...]:
-    """Returns the modules with cases."""
-    # The modules need the encoder, but users of the package alone do not.
-    from . import (  # noqa: PLC0415
-        ancillary,
-        attributes,
-        cameras,
-        chunk_sizes,
-        chunks,
-        context,
-        dimensions,
-        directory,
-        entropy_escapes,
-        entropy_substreams,
-        entropy_values,
-        frame,
-        header,
-        index,
-        limits,
-        masks,
-        networks,
-        order_header,
-        order_sections,
-        order_weights,
-        planes,
-        positions,
-        reconstruction,
-        resource,
-        static,
-        weights_forms,
-        weights_packed,
-        weights_raw,
-        whole,
-    )
-
-    return (
-        header,
-        limits,
-        dimensions,
-        directory,
-        ancillary,
-        frame,
-        weights_raw,
-        weights_packed,
-        weights_forms,
-        networks,
-        planes,
-        index,
-        chunks,
-        chunk_sizes,
-        positions,
-        context,
-        masks,
-        attributes,
-        entropy_values,
-        entropy_escapes,
-        entropy_substreams,
-        reconstruction,
-        order_header,
-        order_sections,
-        order_weights,
-        resource,
-        whole,
-        static,
-        cameras,
-    )
+    """Returns the modules with cases. They need the encoder, but users of the package alone do not."""
+    return tuple(import_module(f"{__name__}.{name}") for name in _CHAPTERS)
 
 
 def faults() -> dict[str, Fault[...]]:
@@ -123,12 +84,10 @@ def recipes() -> list[Recipe]:
     Identifiers and places of vectors are permanent, even if a case moves to another module. Raises ValueError if no
     case has an identifier of the manifest.
     """
-    book = Book()
-    for chapter in chapters():
-        chapter.add(book)
+    made = [recipe for chapter in chapters() for recipe in chapter.CASES]
     document = json.loads((VECTORS / MANIFEST).read_text(encoding="utf-8"))
     known = {vector["id"]: place for place, vector in enumerate(document["vectors"])}
-    gone = known.keys() - {recipe.id for recipe in book.recipes}
+    gone = known.keys() - {recipe.id for recipe in made}
     if gone:
         raise ValueError(f"no case has the identifiers {', '.join(sorted(gone))}, which the manifest has")
-    return sorted(book.recipes, key=lambda recipe: known.get(recipe.id, len(known)))
+    return sorted(made, key=lambda recipe: known.get(recipe.id, len(known)))

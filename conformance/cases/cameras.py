@@ -20,9 +20,10 @@ from refcodec.rendering.gaussians import RENDERING
 
 from .. import spec_decoder
 from . import static
-from .book import Book, Seen
 from .numbers import Numbers
-from .scenes import TINY_DIMENSIONS, dyadic, lattice, scene, with_symbols
+from .scenes import TINY_DIMENSIONS, drawn_symbols, lattice, scene
+from .table import Seen, valid
+from .weights import BASE_STEPS, dyadic, with_weights
 
 # SPEC [G14.3-1]: of means, axis lengths, quaternions, opacities and colours.
 TOLERANCE = 1e-4
@@ -78,75 +79,51 @@ def _rounded(value: Any) -> Any:
     return [_rounded(x) for x in value] if isinstance(value, list) else float(f"{value:.{DIGITS}g}")
 
 
-# --- the suite's ------------------------------------------------------------------------------------------------------
-
-DIMENSIONS = replace(TINY_DIMENSIONS, offset_count=5, render_width=8)
-# Rotation, as rows, and translation of each camera.
-VIEWS: dict[str, tuple[str, list[list[float]]]] = {
-    "ahead": ("a camera that looks along z", [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]),
-    "turned": (
-        "a camera that is turned about all axes",
-        [[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]],
-    ),
-    "within": ("a camera in the place of an anchor", [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]),
-}
-
-
-def add(book: Book) -> None:
-    """Adds the vectors."""
-    title = "a scene that cameras look at"
-    book.valid("cameras", title, _file, features="cameras", requirements="D9.1-1 D9.2-1")
-    # Anchor 4 is at the position of the third camera.
-    place = [float(x) for x in lattice(Numbers("cameras"), 12)[4]]
-    translations = {
-        "ahead": [0.5, -0.25, 6.0],
-        "turned": [1.5, 2.0, -3.0],
-        "within": [place[1], -place[0], -place[2]],
-    }
-    for name, (text, rotation) in VIEWS.items():
-        camera: dict[str, Any] = {
-            "width": 64,
-            "height": 48,
-            "focal": [50.0, 52.0],
-            "principal_point": [32.0, 23.5],
-            "rotation": rotation,
-            "translation": translations[name],
-        }
-        book.add(
-            f"valid-camera-{name}",
-            text,
-            partial(_seen, "valid-cameras", _file, camera),
-            features="cameras",
-            flags="direction-sign",
-        )
-        book.add(
-            f"valid-static-camera-{name}",
-            f"a static scene, and {text}",
-            partial(_seen, "valid-static-degree-3", partial(static.of_degree, 3), camera),
-            features="cameras static",
-            flags="direction-sign harmonics",
-        )
-
-
-def _seen(name: str, make: Callable[[], bytes], camera: dict[str, Any]) -> Seen:
-    return Seen(name, make(), camera)
-
-
 @cache
 def _file() -> bytes:
-    numbers, d = Numbers("cameras"), DIMENSIONS
+    numbers, d = Numbers("cameras"), replace(TINY_DIMENSIONS, offset_count=5, render_width=8)
     where, grid = lattice(numbers, 12), PositionGrid((0, 0, 0), 1, 0)
     made = scene("cameras", 12, d, positions=where, base_step=(0.0625, 0.0625, 0.25), grid=grid)
     made = replace(made, render=replace(made.render, distance_unit=2.5))
-    # The steps are the base steps, for ordinary sizes.
-    w, b = made.networks["hyper"][-1]
-    w[-3:], b[-3:] = 0, 32
     for name in ("opacity", "covariance", "colour"):
         for w, b in made.networks[name]:
             w[:] = dyadic(numbers.integers(-99, 99, *w.shape), 8)
             b[:] = dyadic(numbers.integers(-99, 99, len(b)), 7)
     # One offset has a quaternion of length 0.
-    w, b = made.networks["covariance"][-1]
-    w[3:7], b[3:7] = 0, 0
-    shapes = {"features": (12, d.features), "scalings": (12, 6), "offsets": (12, d.offset_count, 3)}
-    return codec.emit(with_symbols(made, **{kind: numbers.integers(-25, 9, *shape) for kind, shape in shapes.items()}))
+    with_weights(made, BASE_STEPS, ("covariance.-1", slice(3, 7), 0, 0))
+    return codec.emit(drawn_symbols(made, partial(numbers.integers, -25, 9)))
+
+
+def _within() -> list[float]:
+    """Returns the translation of a camera at the position of anchor 4."""
+    x, y, z = (float(x) for x in lattice(Numbers("cameras"), 12)[4])
+    return [y, -x, -z]
+
+
+# By name: a title, the rotation by rows, and the translation.
+VIEWS: dict[str, tuple[str, list[list[float]], list[float]]] = {
+    "ahead": ("a camera that looks along z", [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], [0.5, -0.25, 6.0]),
+    "turned": (
+        "a camera that is turned about all axes",
+        [[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]],
+        [1.5, 2.0, -3.0],
+    ),
+    "within": ("a camera in the place of an anchor", [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], _within()),
+}
+
+
+def _seen(name: str, make: Callable[[], bytes], view: str) -> Seen:
+    _, rotation, translation = VIEWS[view]
+    size: dict[str, Any] = {"width": 64, "height": 48, "focal": [50.0, 52.0], "principal_point": [32.0, 23.5]}
+    return Seen(name, make(), {**size, "rotation": rotation, "translation": translation})
+
+
+# fmt: off
+CASES = [
+    *valid("cameras", "", "D9.1-1 D9.2-1", ("cameras", "a scene that cameras look at", _file)),
+    *valid("cameras", "direction-sign", "", *(
+        (f"camera-{view}", text, _seen, "valid-cameras", _file, view) for view, (text, _, _) in VIEWS.items())),
+    *valid("cameras static", "direction-sign harmonics", "", *(
+        (f"static-camera-{view}", f"a static scene, and {text}", _seen, "valid-static-degree-3",
+         partial(static.of_degree, 3), view) for view, (text, _, _) in VIEWS.items())),
+]

@@ -107,10 +107,10 @@ def _repair_chunks(out: bytearray, fields: construct.Container, places: list[tup
         at += length
 
 
-def resized(data: bytes, kind: bytes, content: bytes, length_at: int | None = None) -> bytes:
+def resized(data: bytes, kind: bytes, content: bytes) -> bytes:
     """Returns a valid file with other content in one critical section, and a right directory and checksums.
 
-    kind: the section's type. length_at: the offset of a u32 that changes with the section's length.
+    kind: the section's type.
     """
     header = codec.parse_container(data)
     old = header.section(kind)
@@ -118,7 +118,4 @@ def resized(data: bytes, kind: bytes, content: bytes, length_at: int | None = No
     out = bytearray(data[: old.start] + padded + data[old.end :])
     entry = layout(data)[1] - 4 - ENTRY_BYTES * (len(header.sections) - old.number)
     out[entry + 8 : entry + 16] = len(content).to_bytes(8, "little")
-    if length_at is not None:
-        grown = int.from_bytes(data[length_at : length_at + 4], "little") + len(content) - old.length
-        out[length_at : length_at + 4] = grown.to_bytes(4, "little")
     return repair(bytes(out))

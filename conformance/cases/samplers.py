@@ -11,13 +11,14 @@ import numpy as np
 from refcodec.bitstream import codec
 from refcodec.bitstream.attributes import ATTRIBUTE_SYMBOL_MAX, code_attributes
 from refcodec.bitstream.dimensions import Dimensions
-from refcodec.bitstream.entropy import SymbolName, select
+from refcodec.bitstream.entropy import SymbolName, ValueGroup, select
 from refcodec.bitstream.planes import code_planes
 from refcodec.bitstream.scene import Scene
 from refcodec.bitstream.tables import ModelSet
+from refcodec.encoder.positions import position_model
 
 from .numbers import Int64, Numbers
-from .scenes import TINY_DIMENSIONS, scene, settled
+from .scenes import TINY_DIMENSIONS, lattice, scene, settled
 
 # A scene's sampler escapes one value in this many.
 ESCAPES = 40
@@ -39,21 +40,12 @@ class Sampler:
             found = np.where(self.numbers.integers(1, self.escapes, len(model)) == 1, far * sign, found)
         return found
 
-    def values(
-        self,
-        models: ModelSet,
-        mean: Int64,
-        scale: Int64,
-        counts: list[int],
-        limit: int,
-        name: SymbolName,
-        given: Int64 | None,
-    ) -> Int64:
+    def values(self, group: ValueGroup) -> Int64:
         """Returns a group of values within their limit."""
-        model, centre, raw = select(mean, scale)
-        distance = self.distances(model, models.radius.take(model))
+        model, centre, raw = select(group.mean, group.scale)
+        distance = self.distances(model, group.models.radius.take(model))
         low = self.numbers.integers(0, (1 << 16) - 1, len(model)) & ((np.int64(1) << raw) - 1)
-        return np.clip(((centre + distance) << raw) + low, -limit, limit)
+        return np.clip(((centre + distance) << raw) + low, -group.limit, group.limit)
 
     def plain(self, models: ModelSet, index: Int64, counts: list[int], name: SymbolName, given: Int64 | None) -> Int64:
         """Draws no symbols of these kinds."""
@@ -97,6 +89,12 @@ def sampled(made: Scene, coder: Sampler, planes: bool = True) -> Scene:
     )
     assert np.abs(attributes.features).max(initial=0) <= ATTRIBUTE_SYMBOL_MAX
     return settled(replace(made, attributes=attributes))
+
+
+def on_lattice(name: str, anchors: int, chunk: int = 4096, **changes: Any) -> Scene:
+    """Returns a drawn scene of positions on a lattice, packed. chunk: for how many anchors. changes: as of scene."""
+    where = lattice(Numbers(name), anchors)
+    return drawn(name, anchors, positions=where, position_model=position_model(where, chunk), **changes)
 
 
 def drawn(name: str, anchors: int, d: Dimensions = TINY_DIMENSIONS, **changes: Any) -> Scene:

@@ -2,80 +2,42 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, partial
+from typing import Any
 
 import numpy as np
 
 from refcodec.bitstream import codec
 from refcodec.bitstream.conventions import round_to_f32
-from refcodec.bitstream.dimensions import RENDER_MODELS, RENDERING, STATIC, Dimensions
+from refcodec.bitstream.dimensions import RENDER_MODELS, RENDERING, STATIC
 from refcodec.bitstream.header import PositionGrid, RenderInfo
 from refcodec.bitstream.scene import Scene
 from refcodec.bitstream.splat import SCALING_BOUND, exponential
 
 from . import limits, networks
-from .book import Book
 from .numbers import Numbers
-from .scenes import SMALLEST, TINY_DIMENSIONS, dyadic, f16, lattice, packed_weights, scene, with_symbols
+from .scenes import SMALLEST, TINY_DIMENSIONS, drawn_symbols, f16, lattice, scene, with_symbols
+from .table import label_of, refused, valid
 from .target import Target
+from .targets import target_of
+from .weights import ALL, BASE_STEPS, dyadic, packed_weights, with_weights
 
 DEGREES = RENDER_MODELS[STATIC][1]
 RENDER = RenderInfo(render_model=STATIC)
 
 
-def add(book: Book) -> None:
-    """Adds the vectors."""
-    valid = partial(book.valid, features="static reconstruction", requirements="D9.4-1 D9.3-1 R11.1-2")
-    for degree in range(len(DEGREES)):
-        title = f"a static scene with harmonics of degree {degree}"
-        valid(f"static-degree-{degree}", title, partial(of_degree, degree), flags="static-part harmonics")
-    rows: list[tuple[str, str, Callable[[], Scene]]] = [
-        ("packed", "a static scene in mode 1, one layer raw", _packed),
-        ("empty", "a static scene without anchors", partial(_scene, "static-empty", 0)),
-        ("far", "features, scalings and offsets beyond what 9.4 limits", partial(_of_steps, "static-far", 2.0**60)),
-        ("near", "the least features, scalings and offsets", partial(_of_steps, "static-near", 2.0**-60)),
-        ("turned", "quaternions of zeros, and one with a single number", _turned),
-        ("cancelled", "means that are 0, halfway between two f32, or lose all but their last bits", _cancelled),
-        ("lengths", "scalings over the whole range of the exponential, and features with halves", _lengths),
-        ("long", "logarithms of lengths with up to 29 bits, some halfway between two f32", _long),
-    ]
-    for name, title, make in rows:
-        valid(f"static-{name}", title, make, flags="static-part value-rounding")
-    refused = partial(book.add, features="static dimensions", flags="limit-off-by-one")
-    for field, values in (("view_inputs", (1, 4)), ("colour_outputs", (1, 9, 13, 47))):
-        for value in values:
-            title, wrong = f"{field} {value} in a static scene", limits.dimension.of(target, field, value)
-            refused(f"invalid-static-{field.replace('_', '-')}-{value}", title, wrong)
-    bound = partial(book.add, features="static networks", flags="accumulator-bound row-order")
-    for layer in ("opacity.0", "colour.1"):
-        title = f"a weight of {layer} that leaves no exponent, in a static scene"
-        wrong = networks.large_value.of(target, layer, 0, 0, 4096.0)
-        bound(f"invalid-static-bound-{layer.replace('.', '-')}", title, wrong)
-    title = "a packed layer whose rows have no exponent, in a static scene"
-    bound("invalid-static-bound-packed", title, networks.large_integer.of(_packed_target, "colour.1", (1 << 23) + 1))
-
-
-def _dimensions(outputs: int, d: Dimensions = TINY_DIMENSIONS) -> Dimensions:
-    return replace(d, view_inputs=0, colour_outputs=outputs)
-
-
 def _scene(name: str, anchors: int = 9, outputs: int = 12) -> Scene:
     """Returns a scene of ordinary sizes: features fill the range of activations, outputs are below 16."""
-    numbers, d = Numbers(name), _dimensions(outputs)
-    where = lattice(numbers, anchors)
-    grid = PositionGrid((0, 0, 0), 1, 0)
+    numbers, d = Numbers(name), replace(TINY_DIMENSIONS, view_inputs=0, colour_outputs=outputs)
+    where, grid = lattice(numbers, anchors), PositionGrid((0, 0, 0), 1, 0)
     made = scene(name, anchors, d, positions=where, base_step=(16.0, 0.0625, 0.25), grid=grid, render=RENDER)
-    w, b = made.networks["hyper"][-1]
-    # The steps are the base steps.
-    w[-3:], b[-3:] = 0, 32
+    with_weights(made, BASE_STEPS)
     for layers in (made.networks[network] for network in RENDERING):
         for (weight, bias), bits in zip(layers, (7, 4), strict=True):
             weight[:] = dyadic(numbers.integers(-99, 99, *weight.shape), bits)
             bias[:] = dyadic(numbers.integers(-9999, 9999, len(bias)), bits)
-    shapes = {"features": (anchors, d.features), "scalings": (anchors, 6), "offsets": (anchors, d.offset_count, 3)}
-    return with_symbols(made, **{kind: numbers.integers(-60, 60, *shape) for kind, shape in shapes.items()})
+    return drawn_symbols(made, partial(numbers.integers, -60, 60))
 
 
 @cache
@@ -91,53 +53,30 @@ def target() -> Target:
 
 
 def _packed() -> Scene:
-    made = _scene("static-packed")
     # A bias of -0 cannot be packed.
-    made.networks["colour"][0][1][0] = -0.0
-    return packed_weights(made)
-
-
-@cache
-def _packed_target() -> Target:
-    return Target(codec.emit(_packed()))
+    return packed_weights(with_weights(_scene("static-packed"), ("colour.0", 0, None, -0.0)))
 
 
 def _of_steps(name: str, step: float) -> Scene:
-    numbers, made = Numbers(f"{name}/symbols"), _scene(name, 12, 3)
-    made = replace(made, base_step=(step,) * 3)
-    made.networks["hyper"][-1][1][-3:] = 63 if step > 1 else 0
-    largest = (1 << 23) - 1
+    made, largest = replace(_scene(name, 12, 3), base_step=(step,) * 3), (1 << 23) - 1
+    with_weights(made, ("hyper.-1", slice(-3, None), None, 63 if step > 1 else 0))
     values = [0, 1, -1, 3, -77, largest, -largest]
-    shapes = {kind: getattr(made.attributes, kind).shape for kind in ("features", "scalings", "offsets")}
-    return with_symbols(made, **{kind: numbers.chosen(values, *shape) for kind, shape in shapes.items()})
+    return drawn_symbols(made, partial(Numbers(f"{name}/symbols").chosen, values))
 
 
 def _turned() -> Scene:
-    made = _scene("static-turned")
-    w, b = made.networks["covariance"][-1]
-    w[3:7], b[3:7] = 0, 0
-    w[10:14], b[10:14] = 0, [0, 0, -1, 0]
+    turned = ("covariance.-1", slice(3, 7), 0, 0), ("covariance.-1", slice(10, 14), 0, (0, 0, -1, 0))
+    made = with_weights(_scene("static-turned"), *turned)
     return replace(made, masks=np.ones_like(made.masks))
 
 
 def _cancelled() -> Scene:
     """Positions are 1, offsets -1 and their neighbours. The exponential of 0 is 1."""
-    d = _dimensions(3, SMALLEST)
-    near = [-1, -1, 1, -(1 << 22), (1 << 23) - 1, -((1 << 23) - 1), 3, -3]
-    made = scene(
-        "static-cancelled",
-        len(near),
-        d,
-        positions=f16(np.ones((len(near), 3), np.int64)),
-        grid=PositionGrid((0, 0, 0), 1, 0),
-        masks=np.ones((len(near), 1), bool),
-        base_step=(1.0, 1.0, 1.0),
-        render=RENDER,
-    )
-    made.networks["hyper"][-1][0][-3:], made.networks["hyper"][-1][1][-3:] = 0, 32
-    for layers in (made.networks[network] for network in RENDERING):
-        for weight, bias in layers:
-            weight[:], bias[:] = 0, 1
+    near, grid = [-1, -1, 1, -(1 << 22), (1 << 23) - 1, -((1 << 23) - 1), 3, -3], PositionGrid((0, 0, 0), 1, 0)
+    d, where = replace(SMALLEST, view_inputs=0, colour_outputs=3), f16(np.ones((len(near), 3), np.int64))
+    fields: dict[str, Any] = {"masks": np.ones((len(near), 1), bool), "base_step": (1.0, 1.0, 1.0), "render": RENDER}
+    made = scene("static-cancelled", len(near), d, positions=where, grid=grid, **fields)
+    with_weights(made, BASE_STEPS, *((network, ALL, 0, 1) for network in RENDERING))
     offsets = np.array([[[x, x - 1, -x]] for x in near])
     scalings = np.zeros((len(near), 6), np.int64)
     # 2^-24 of 1, where sums are ties.
@@ -145,9 +84,14 @@ def _cancelled() -> Scene:
     return with_symbols(made, scalings=scalings, offsets=np.clip(offsets, 1 - (1 << 23), (1 << 23) - 1))
 
 
+def _with_lengths(name: str, anchors: int) -> Scene:
+    """Returns a scene that keeps all offsets. A step of scalings is 2^-16."""
+    made = _scene(name, anchors)
+    return replace(made, masks=np.ones_like(made.masks), base_step=(0.5, 2.0**-16, 0.25))
+
+
 def _lengths() -> Scene:
-    made = _scene("static-lengths", 61)
-    made = replace(made, masks=np.ones_like(made.masks), base_step=(0.5, 2.0**-16, 0.25))
+    made = _with_lengths("static-lengths", 61)
     # Exponentials that are rounded to another f32 if they are changed by 1.
     t = np.arange(1 - SCALING_BOUND, SCALING_BOUND, 991)
     m, _ = exponential(t)
@@ -161,8 +105,7 @@ def _lengths() -> Scene:
 
 def _long() -> Scene:
     """The covariance network gives lengths of 24 bits, which have 28 in the unit of scalings."""
-    numbers, made = Numbers("static-long/symbols"), _scene("static-long", 8)
-    made = replace(made, masks=np.ones_like(made.masks), base_step=(0.5, 2.0**-16, 0.25))
+    numbers, made = Numbers("static-long/symbols"), _with_lengths("static-long", 8)
     weight, bias = made.networks["covariance"][-1]
     largest = np.array([(1 << 24) - 1, 1 - (1 << 24), (1 << 23) + 5])
     for k in range(made.dimensions.offset_count):
@@ -174,3 +117,29 @@ def _long() -> Scene:
     scalings[:4, 3:] = np.array([8, -8, 24, 16])[:, None]
     scalings[4:, 3:] = np.array(ends)[:, None]
     return with_symbols(made, scalings=scalings)
+
+
+# fmt: off
+CASES = [
+    *valid("static reconstruction", "static-part harmonics", "D9.4-1 D9.3-1 R11.1-2", *(
+        (f"static-degree-{degree}", f"a static scene with harmonics of degree {degree}", of_degree, degree)
+        for degree in range(len(DEGREES)))),
+    *valid("static reconstruction", "static-part value-rounding", "D9.4-1 D9.3-1 R11.1-2",
+        ("static-packed", "a static scene in mode 1, one layer raw", _packed),
+        ("static-empty", "a static scene without anchors", _scene, "static-empty", 0),
+        ("static-far", "features, scalings and offsets beyond what 9.4 limits", _of_steps, "static-far", 2.0**60),
+        ("static-near", "the least features, scalings and offsets", _of_steps, "static-near", 2.0**-60),
+        ("static-turned", "quaternions of zeros, and one with a single number", _turned),
+        ("static-cancelled", "means that are 0, halfway between two f32, or lose all but their last bits", _cancelled),
+        ("static-lengths", "scalings over the whole range of the exponential, and features with halves", _lengths),
+        ("static-long", "logarithms of lengths with up to 29 bits, some halfway between two f32", _long)),
+    *refused("static dimensions", "limit-off-by-one", *(
+        (f"static-{label_of(field)}-{value}", f"{field} {value} in a static scene", target, limits.dimension, field,
+         value)
+        for field, values in (("view_inputs", (1, 4)), ("colour_outputs", (1, 9, 13, 47))) for value in values)),
+    *refused("static networks", "accumulator-bound row-order",
+        *((f"static-bound-{label_of(layer)}", f"a weight of {layer} that leaves no exponent, in a static scene", target,
+           networks.large_value, layer, 0, 0, 4096.0) for layer in ("opacity.0", "colour.1")),
+        ("static-bound-packed", "a packed layer whose rows have no exponent, in a static scene", target_of(_packed),
+         networks.large_integer, "colour.1", (1 << 23) + 1)),
+]

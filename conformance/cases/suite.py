@@ -19,11 +19,11 @@ from refcodec.inspect.trace import symbol_trace
 from refcodec.statuses import UsageError
 
 from ..manifest import MANIFEST, SCHEMA, VECTORS
-from .book import Recipe, Seen, path_of
 from .cameras import TOLERANCE, expected
 from .fault import Refused
 from .features import FEATURES
 from .flags import FLAGS
+from .table import Recipe, Seen, path_of
 
 NAME = "c3gs-conformance"
 SUITE_VERSION = "0.1.0"
@@ -41,18 +41,13 @@ def _sha256(data: bytes) -> str:
 
 def _stated(data: bytes) -> tuple[str | None, int | None]:
     """Returns the profile and level of the header, or None if it is damaged or they are unknown."""
-    end = header.PROLOGUE_BYTES + int.from_bytes(data[12:16], "little")
-    if len(data) < header.PROLOGUE_BYTES + 2 or end > len(data) or data[: len(header.SIGNATURE)] != header.SIGNATURE:
+    start, end = header.PROLOGUE_BYTES, header.PROLOGUE_BYTES + int.from_bytes(data[12:16], "little")
+    if len(data) < start + 2 or end > len(data) or data[: len(header.SIGNATURE)] != header.SIGNATURE:
         return None, None
-    crc = zlib.crc32(data[header.PROLOGUE_BYTES : end - 4])
-    profile, level = data[header.PROLOGUE_BYTES : header.PROLOGUE_BYTES + 2]
-    if (
-        crc != int.from_bytes(data[end - 4 : end], "little")
-        or profile not in PROFILES
-        or level not in PROFILES[profile].levels
-    ):
-        return None, None
-    return PROFILES[profile].name.lower(), level
+    profile, level = data[start : start + 2]
+    right = zlib.crc32(data[start : end - 4]) == int.from_bytes(data[end - 4 : end], "little")
+    known = profile in PROFILES and level in PROFILES[profile].levels
+    return (PROFILES[profile].name.lower(), level) if right and known else (None, None)
 
 
 def _accepted(recipe: Recipe, data: bytes) -> dict[str, Any]:
@@ -61,13 +56,8 @@ def _accepted(recipe: Recipe, data: bytes) -> dict[str, Any]:
     if codec.emit(scene) != data:
         raise GeneratorError(f"{recipe.id}: encoding the scene does not give the file again")
     whole, parts = digest(scene)
-    trace = _sha256("".join(lines).encode())
-    return {
-        "result": "accepted",
-        "digest": whole,
-        "parts": {"head": _sha256(canonical_head(scene)), **parts},
-        "trace": trace,
-    }
+    parts = {"head": _sha256(canonical_head(scene)), **parts}
+    return {"result": "accepted", "digest": whole, "parts": parts, "trace": _sha256("".join(lines).encode())}
 
 
 def _rejected(recipe: Recipe, made: Refused) -> dict[str, Any]:
@@ -94,13 +84,8 @@ def vectors(recipes: Iterable[Recipe]) -> Iterator[tuple[dict[str, Any], dict[st
             path, data = path_of(made.id), made.data
             listed, found = path.replace(".c3gs", f"-{recipe.name}.json"), expected(data, made.camera)
             files[listed] = found
-            expectation: dict[str, Any] = {
-                "result": "gaussians",
-                "camera": made.camera,
-                "path": listed,
-                "sha256": _sha256(found),
-                "tolerance": TOLERANCE,
-            }
+            expectation: dict[str, Any] = {"result": "gaussians", "camera": made.camera, "path": listed}
+            expectation |= {"sha256": _sha256(found), "tolerance": TOLERANCE}
             proved = ["G14.6-1" if "static" in recipe.features else "G14.3-1"]
         elif isinstance(made, Refused):
             files[path] = data = made.data
@@ -167,14 +152,8 @@ def generate(folder: Path, recipes: Iterable[Recipe]) -> tuple[int, int]:
     for vector, files in vectors(recipes):
         found.append(vector)
         written.update(files)
-    document = {
-        "suite": NAME,
-        "suite_version": SUITE_VERSION,
-        "format_version": header.MAJOR,
-        "flags": FLAGS,
-        "features": FEATURES,
-        "vectors": found,
-    }
+    document = {"suite": NAME, "suite_version": SUITE_VERSION, "format_version": header.MAJOR}
+    document |= {"flags": FLAGS, "features": FEATURES, "vectors": found}
     size = sum(map(len, written.values()))
     written[MANIFEST] = _text(document).encode()
     written[SCHEMA] = (VECTORS / SCHEMA).read_bytes()

@@ -10,11 +10,9 @@ from functools import cached_property
 from typing import Any
 
 from refcodec.bitstream import codec, directory, syntax
-from refcodec.bitstream.chunks import PARTS
 from refcodec.bitstream.dimensions import layers_of
 from refcodec.bitstream.directory import Section
 from refcodec.bitstream.header import PROLOGUE_BYTES, SIGNATURE
-from refcodec.bitstream.index import CHUNK_HEAD_BYTES
 from refcodec.bitstream.planes import PLANE_NAMES
 from refcodec.bitstream.source import pad4
 from refcodec.inspect.elements import Row, rows
@@ -41,8 +39,7 @@ class Substream:
     """A substream of a file (SPEC 5.15).
 
     path: as in errors: "planes.r1", "masks[chunk 0]", "weights". section: its type. data[start:end] are its bytes.
-    lanes, words: their numbers. length_at: offset of a u32 with its length or, for weights and positions, of a length
-    that includes it.
+    lanes, words: their numbers.
     """
 
     path: str
@@ -51,7 +48,6 @@ class Substream:
     end: int
     lanes: int
     words: int
-    length_at: int
 
     @property
     def words_at(self) -> int:
@@ -112,20 +108,20 @@ class Target:
         section = self.sections[kind]
         return self.data[section.start : section.start + section.length]
 
-    def chunk_at(self, chunk: int) -> int:
-        """Returns the offset of a chunk."""
-        lengths = (self.value(f"index.entry[{n}].length") for n in range(chunk))
-        return self.start(directory.DATA) + sum(lengths)
+    def span(self, path: str) -> tuple[int, int]:
+        """Returns the range of a substream or of a chunk's raw part, without its padding."""
+        names = (path, *(f"{path}.{part}" for part in ("symbol_crc", "word_count", "state", "word", "raw")))
+        found = [self.elements[name] for name in names if name in self.elements]
+        return found[0].start, found[-1].end
 
     def part(self, name: str, chunk: int) -> tuple[int, int]:
         """Returns the range of a part of a chunk, without its padding. name: as in PARTS."""
-        at = self.chunk_at(chunk) + CHUNK_HEAD_BYTES
-        for part in PARTS:
-            length = self.value(f"chunk[{chunk}].{part.removesuffix('s')}_length")
-            if part == name:
-                return at, at + length
-            at += pad4(length)
-        raise KeyError(name)
+        return self.span(f"{name}[chunk {chunk}]")
+
+    def chunk_at(self, chunk: int) -> int:
+        """Returns the offset of a chunk, or of the end of the last one."""
+        lengths = (self.value(f"index.entry[{n}].length") for n in range(chunk))
+        return self.start(directory.DATA) + sum(lengths)
 
     @property
     def layers(self) -> list[str]:
@@ -146,35 +142,14 @@ class Target:
 
     @cached_property
     def substreams(self) -> dict[str, Substream]:
-        """All substreams by path."""
-        lanes = self.header.lanes
-        named = [("weights", directory.WEIGHTS, lanes.attribute)]
-        named += [(f"planes.{name}", directory.PLANES_SECTION, lanes.plane) for name in PLANE_NAMES]
-        named += [
-            (f"{part}[chunk {n}]", directory.DATA, lanes.attribute if part == "attributes" else lanes.mask)
-            for n in range(self.header.chunk_count)
-            for part in PARTS
-        ]
+        """All substreams by path. Raw weights and raw chunks are not substreams."""
         found = {}
-        for path, kind, log2 in named:
-            head = self.elements.get(f"{path}.symbol_crc")
-            # Raw weights and raw chunks are not substreams.
-            if head is not None:
-                length_at, end = self._length_of(path, kind, head.start)
-                words = self.value(f"{path}.word_count")
-                found[path] = Substream(path, kind, head.start, end, 1 << log2, words, length_at)
+        for path in (name.removesuffix(".symbol_crc") for name in self.elements if name.endswith(".symbol_crc")):
+            (start, end), state = self.span(path), self.element(f"{path}.state")
+            kind = next(kind for kind, section in self.sections.items() if section.start <= start < section.end)
+            words = self.value(f"{path}.word_count")
+            found[path] = Substream(path, kind, start, end, (state.end - state.start) // 4, words)
         return found
-
-    def _length_of(self, path: str, kind: bytes, start: int) -> tuple[int, int]:
-        """Returns the offset of a substream's length, and its end."""
-        if kind == directory.WEIGHTS:
-            section = self.sections[kind]
-            return self.at(f"directory[{section.number}].length"), section.start + section.length
-        if kind == directory.PLANES_SECTION:
-            length = self.element(f"planes.length[{PLANE_NAMES.index(path.removeprefix('planes.'))}]")
-            return length.start, start + length.value
-        part, _, number = path.removesuffix("]").partition("[chunk ")
-        return self.at(f"chunk[{number}].{part.removesuffix('s')}_length"), self.part(part, int(number))[1]
 
     def pack(self, values: dict[str, Any]) -> dict[int, bytes]:
         """Returns elements with other values, as bytes by offset. A value is a number or bytes."""
@@ -212,33 +187,29 @@ class Target:
     def with_substream(self, path: str, content: bytes) -> bytes:
         """Returns the file with other bytes as one substream, and right lengths and checksums."""
         s = self.substreams[path]
+        if s.section == directory.WEIGHTS:
+            return resized(self.data, s.section, self.data[self.start(s.section) : s.start] + content)
         if s.section == directory.DATA:
             part, _, number = path.removesuffix("]").partition("[chunk ")
             return self.with_part(part, int(number), content)
-        section = self.sections[s.section]
-        if s.section == directory.WEIGHTS:
-            return resized(self.data, s.section, self.data[section.start : s.start] + content)
-        end = s.start + pad4(s.end - s.start)
-        padded = content + bytes(pad4(len(content)) - len(content))
-        whole = bytearray(self.data[section.start : s.start] + padded + self.data[end : section.start + section.length])
-        at = s.length_at - section.start
-        whole[at : at + 4] = len(content).to_bytes(4, "little")
-        return resized(self.data, s.section, bytes(whole))
+        length = f"planes.length[{PLANE_NAMES.index(path.removeprefix('planes.'))}]"
+        return self._with_range(s.section, s.start, s.end, content, {length: len(content)})
 
     def with_part(self, name: str, chunk: int, content: bytes) -> bytes:
         """Returns the file with other bytes as a chunk part, and right lengths and checksums. name: as in PARTS."""
-        section, (start, end) = self.sections[directory.DATA], self.part(name, chunk)
-        padded = content + bytes(pad4(len(content)) - len(content))
-        out = bytearray(self.data)
-        for at, length in (
-            (self.at(f"chunk[{chunk}].{name.removesuffix('s')}_length"), len(content)),
-            (
-                self.at(f"index.entry[{chunk}].length"),
-                self.value(f"index.entry[{chunk}].length") + len(padded) - pad4(end - start),
-            ),
-        ):
-            out[at : at + 4] = length.to_bytes(4, "little")
-        whole = out[section.start : start] + padded + out[start + pad4(end - start) : section.start + section.length]
-        at = self.at(f"directory[{section.number}].length")
-        out[at : at + 8] = len(whole).to_bytes(8, "little")
-        return repair(bytes(out[: section.start]) + bytes(whole) + self.data[section.end :])
+        start, end = self.part(name, chunk)
+        entry = f"index.entry[{chunk}].length"
+        values = {
+            f"chunk[{chunk}].{name.removesuffix('s')}_length": len(content),
+            entry: self.value(entry) + pad4(len(content)) - pad4(end - start),
+        }
+        return self._with_range(directory.DATA, start, end, content, values)
+
+    def _with_range(self, kind: bytes, start: int, end: int, content: bytes, values: dict[str, Any]) -> bytes:
+        """Returns the file with other bytes in a range of a section, and other values. Both ranges are padded."""
+        out, section = self.with_values(values, Depth.NOTHING), self.sections[kind]
+        padded, rest = (
+            content + bytes(-len(content) % 4),
+            out[start + pad4(end - start) : section.start + section.length],
+        )
+        return resized(out, kind, out[section.start : start] + padded + rest)

@@ -1,47 +1,50 @@
-"""Cases of clauses 5.9, 6.8 and 7.13: weights in mode 1, as integers on grids. Raw layers are in weights_forms.py."""
+"""Cases of clauses 5.9, 6.8 and 7.13: weights in mode 1, as integers on grids, or raw.
+
+Some layers are raw because no grid contains their values, others by the encoder's choice.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache, partial
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from refcodec.bitstream import codec, weights
-from refcodec.bitstream.dimensions import layers_of
+from refcodec.bitstream.dimensions import Dimensions, layers_of
 from refcodec.bitstream.directory import WEIGHTS
-from refcodec.bitstream.entropy import Coder, Encoder
+from refcodec.bitstream.entropy import Encoder
 from refcodec.bitstream.header import Lanes
 from refcodec.bitstream.scene import Scene
-from refcodec.bitstream.weights import WEIGHT_EXPONENT_MAX, WEIGHT_EXPONENT_MIN, GridLayer
+from refcodec.bitstream.weights import WEIGHT_EXPONENT_MAX, WEIGHT_EXPONENT_MIN, GridLayer, packable
 from refcodec.encoder.weights import pack_weights
 
-from .book import Book
 from .checksums import resized
-from .fault import Draw, Drawn, Edit, Refused, Whole, fault, one_field
+from .fault import Draw, Drawn, Fault, Spec, Whole, element, fault
 from .numbers import Int64, Numbers
 from .samplers import Sampler, drawn, sampled
-from .scenes import (
-    SMALLEST,
-    TINY_DIMENSIONS,
-    Networks,
-    dyadic,
-    packed_weights,
-    scales,
-    scene,
-)
+from .scenes import CONSTANT, SMALLEST, TINY_DIMENSIONS, scene, settled
+from .table import More, refused, valid
 from .target import Target
-from .targets import SEEDS, grids
+from .targets import SEEDS, grids, target_of
+from .weights import ALL, Values, dyadic, packed_weights, scales, with_weights
 
-# --- faults -----------------------------------------------------------------------------------------------------------
+# --- faults of sections and models ------------------------------------------------------------------------------------
 
 
-def _any_grids(draw: Draw) -> Target:
+def any_grids(draw: Draw, t: Target) -> Target:
+    """Draws a file in mode 1."""
     return grids(draw.integer(0, SEEDS - 1))
 
 
-@fault("weights.length")
+@fault(
+    "weights.length",
+    lambda d, t: d.choice([None, *t.layers]),
+    lambda d, t, layer: d.integer(0, 3 if layer is None else 7),
+    base=any_grids,
+)
 def cut(t: Target, layer: str | None, more: int) -> Whole:
     """The section ends some bytes after the start of a layer's model, or of the section without a layer."""
     start = t.start(WEIGHTS)
@@ -49,59 +52,43 @@ def cut(t: Target, layer: str | None, more: int) -> Whole:
     return Whole(resized(t.data, WEIGHTS, t.data[start:end]), start)
 
 
-@cut.drawn
-def _(draw: Draw, t: Target) -> Drawn:
-    t = _any_grids(draw)
-    layer = draw.choice([None, *t.layers])
-    return t, layer, draw.integer(0, 3 if layer is None else 7)
-
-
-@fault("weights.layer")
-def model_field(t: Target, layer: str, field: str, value: int) -> Edit:
-    """A field of a layer's model is outside its limits, or not 0 for a raw layer."""
-    return one_field(t, f"weights.{layer}.{field}", value)
-
-
-@model_field.drawn
-def _(draw: Draw, t: Target) -> Drawn:
-    t = _any_grids(draw)
+def _fields(draw: Draw, t: Target) -> Drawn:
+    """Draws a field of a layer's model, and a value outside its limits, or not 0 for a raw layer."""
     raw = t.layers[0]
     wrong = [(layer, "form", value) for layer in t.layers for value in (2, 255)]
     wrong += [(layer, "exponent", value) for layer in t.layers for value in (150, -105, 32767, -32768)]
     wrong += [(raw, "exponent", value) for value in (1, -1, 149, -104)]
     wrong += [(raw, field, value) for field in ("exponent_scale", "weight_scale", "bias_scale") for value in (1, 255)]
-    return t, *draw.choice(wrong)
+    return draw.choice(wrong)
 
 
-@fault("weights.reserved")
-def reserved(t: Target, layer: str, item: int, value: int) -> Edit:
-    """A reserved byte of a layer's model is not zero. The first of these bytes is reported."""
-    path = f"weights.{layer}.reserved"
-    return Edit(t.pack({f"{path}[{item}]": value}), t.at(f"{path}[0]"))
+model_field = element("weights.layer", "weights.{}.{}", _fields, base=any_grids)
+reserved = element(
+    "weights.reserved",
+    "weights.{}.reserved[{}]",
+    lambda d, t: d.choice(t.layers),
+    (0, 1),
+    (1, 255),
+    reported="weights.{}.reserved[0]",
+    base=any_grids,
+)
 
-
-@reserved.drawn
-def _(draw: Draw, t: Target) -> Drawn:
-    t = _any_grids(draw)
-    return t, draw.choice(t.layers), draw.integer(0, 1), draw.integer(1, 255)
+# --- faults of integers -----------------------------------------------------------------------------------------------
 
 
 def with_integers(
-    t: Target, layer: str, change: Callable[[GridLayer], GridLayer], coder: Callable[[Encoder], Coder] = lambda e: e
+    t: Target, layer: str, change: Callable[[GridLayer], GridLayer], coder: type[Encoder] = Encoder
 ) -> Whole:
-    """Returns the file with other integers in a packed layer, validly coded. The offset is that of the layer's model.
-
-    coder: codes them with an encoder.
-    """
+    """Returns the file with other integers in a packed layer, validly coded. The offset is that of its model."""
     made = codec.parse(t.data).scene
     assert made.weight_scales is not None
     shapes, wrong = layers_of(made.dimensions), t.layers.index(layer)
     found = [weights.to_grid(values) for network in made.networks.values() for values in network]
     coded = {i: grid for i, grid in enumerate(found) if grid is not None}
     coded[wrong] = change(coded[wrong])
-    encoder = Encoder(1, 1 << made.lanes.attribute)
+    encoder = coder(1, 1 << made.lanes.attribute)
     scale = made.weight_scales[list(coded)]
-    weights.code_grids(coder(encoder), [shapes[i] for i in coded], scale, list(coded.values()))
+    weights.code_grids(encoder, [shapes[i] for i in coded], scale, list(coded.values()))
     start, stream = t.start(WEIGHTS), t.substreams["weights"].start
     models = bytearray(t.data[start:stream])
     for at, value in t.pack({f"weights.{layer}.exponent": coded[wrong].exponent}).items():
@@ -109,367 +96,118 @@ def with_integers(
     return Whole(resized(t.data, WEIGHTS, bytes(models) + encoder.finish()[0]), t.layer_at(layer))
 
 
-def _packed_layer(draw: Draw, t: Target) -> str:
-    """Draws the name of a packed layer."""
-    return draw.choice(t.layers[1:])
+def grid_fault(
+    error: str,
+    *drawn: Spec,
+    layers: Callable[[Target], list[str]] = lambda t: t.layers[1:],
+    base: Callable[[Draw, Target], Target] = any_grids,
+) -> Callable[[Callable[..., GridLayer]], Fault[...]]:
+    """Decorates a function that changes the integers of a packed layer. The fault's first argument is the layer.
+
+    layers: those that are drawn, of a drawn base.
+    """
+
+    def made(change: Callable[..., GridLayer]) -> Fault[...]:
+        def broken(t: Target, layer: str, *arguments: Any) -> Whole:
+            return with_integers(t, layer, lambda grid: change(grid, *arguments))
+
+        return Fault(error, change.__name__, broken, [lambda d, t: d.choice(layers(t)), *drawn], base)
+
+    return made
 
 
-@fault("weights.exponent")
-def even_integers(t: Target, layer: str, rows: int | None = None, exponent: int | None = None) -> Whole:
-    """The first rows of a layer, or all, have only even integers. exponent: of all rows, if it changes."""
-
-    def change(g: GridLayer) -> GridLayer:
-        weight, bias = g.weight.copy(), g.bias.copy()
-        weight[:rows], bias[:rows] = weight[:rows] * 2, bias[:rows] * 2
-        if exponent is not None:
-            g = replace(g, exponent=exponent, difference=g.difference * 0)
-        return replace(g, weight=weight, bias=bias)
-
-    return with_integers(t, layer, change)
+_OUTSIDE = (1000, -1000, (1 << 24) - 1, 1 - (1 << 24))
 
 
-@even_integers.drawn
-def _(draw: Draw, t: Target) -> Drawn:
-    t = _any_grids(draw)
-    return t, _packed_layer(draw, t), draw.choice([1, None])
-
-
-@fault("weights.exponent")
-def first_difference(t: Target, layer: str, value: int) -> Whole:
-    """The exponent of the first row is not the model's."""
-    return with_integers(t, layer, lambda g: replace(g, difference=_with(g.difference, 0, value)))
-
-
-@first_difference.drawn
-def _(draw: Draw, t: Target) -> Drawn:
-    t = _any_grids(draw)
-    return t, _packed_layer(draw, t), draw.choice([1, -1, 5])
-
-
-@fault("weights.exponent")
-def last_difference(t: Target, layer: str, value: int) -> Whole:
-    """The exponent of the last row is outside the limits."""
-    return with_integers(t, layer, lambda g: replace(g, difference=_with(g.difference, -1, value)))
-
-
-@last_difference.drawn
-def _(draw: Draw, t: Target) -> Drawn:
-    t = _any_grids(draw)
-    return t, _packed_layer(draw, t), draw.choice([1000, -1000, (1 << 24) - 1, 1 - (1 << 24)])
-
-
-@fault("weights.exponent")
-def last_row_of_zeros(t: Target, layer: str, difference: int) -> Whole:
-    """A last row of zeros has a different exponent."""
-
-    def change(g: GridLayer) -> GridLayer:
-        weight = g.weight.copy()
-        weight[-1] = 0
-        return GridLayer(g.exponent, _with(g.difference, -1, difference), weight, _with(g.bias, -1, 0))
-
-    return with_integers(t, layer, change)
-
-
-@last_row_of_zeros.drawn
-def _(draw: Draw, t: Target) -> Drawn:
-    t = _any_grids(draw)
-    return t, _packed_layer(draw, t), draw.choice([1, -1, 3])
-
-
-@fault("weights.exponent")
-def first_row_of_zeros(t: Target, layer: str, difference: int) -> Whole:
-    """A first row of zeros has a difference, which the second row cancels."""
-
-    def change(g: GridLayer) -> GridLayer:
-        differences, weight = np.zeros_like(g.difference), g.weight.copy()
-        differences[:2] = [difference, -difference][: len(differences)]
-        weight[0] = 0
-        return GridLayer(g.exponent, differences, weight, _with(g.bias, 0, 0))
-
-    return with_integers(t, layer, change)
-
-
-@first_row_of_zeros.drawn
-def _(draw: Draw, t: Target) -> Drawn:
-    t = _any_grids(draw)
-    return t, _packed_layer(draw, t), draw.choice([2, -2])
-
-
-@fault("weights.exponent")
-def layer_of_zeros(t: Target, layer: str, exponent: int) -> Whole:
-    """A layer of zeros has a nonzero exponent."""
-
-    def change(g: GridLayer) -> GridLayer:
-        return GridLayer(exponent, g.difference * 0, g.weight * 0, g.bias * 0)
-
-    return with_integers(t, layer, change)
-
-
-@layer_of_zeros.drawn
-def _(draw: Draw, t: Target) -> Drawn:
-    t = _any_grids(draw)
-    return t, _packed_layer(draw, t), draw.choice([1, 7, -104])
-
-
-def _with(values: Int64, at: int, value: int) -> Int64:
-    """Returns the integers with a changed one."""
+def changed(values: Int64, at: int, value: int) -> Int64:
+    """Returns the integers with another one in a place."""
     found = values.copy()
     found[at] = value
     return found
 
 
-# --- the suite's refused files ----------------------------------------------------------------------------------------
+@grid_fault("weights.exponent", [1, None])
+def even_integers(g: GridLayer, rows: int | None = None, exponent: int | None = None) -> GridLayer:
+    """The first rows of a layer, or all, have only even integers. exponent: of all rows, if it changes."""
+    weight, bias = g.weight.copy(), g.bias.copy()
+    weight[:rows], bias[:rows] = weight[:rows] * 2, bias[:rows] * 2
+    if exponent is not None:
+        g = replace(g, exponent=exponent, difference=g.difference * 0)
+    return replace(g, weight=weight, bias=bias)
 
 
-def add(book: Book) -> None:
-    """Adds the vectors."""
-    _refused(book)
-    _exponents(book)
-    _valid(book)
+@grid_fault("weights.exponent", lambda d, t, _: d.choice([*((0, n) for n in (1, -1, 5)), *((-1, n) for n in _OUTSIDE)]))
+def difference(g: GridLayer, row: int, value: int) -> GridLayer:
+    """The exponent of the first row is not the model's, or that of the last row, -1, is outside the limits."""
+    return replace(g, difference=changed(g.difference, row, value))
 
 
-@cache
-def _last_raw() -> Target:
-    """Returns a file in mode 1 with a raw last layer."""
-    made = scene("planted-cut", 2, SMALLEST, lanes=Lanes(0, 0, 1))
-    made.networks["colour"][1][1][0] = -0.0
-    return Target(codec.emit(packed_weights(made)))
+@grid_fault("weights.exponent", lambda d, t, _: d.choice([(-1, 1), (-1, -1), (-1, 3), (0, 2), (0, -2)]))
+def row_of_zeros(g: GridLayer, row: int, difference: int) -> GridLayer:
+    """A last row of zeros, -1, has a different exponent, or a first one has a difference, which the second cancels."""
+    differences, weight = changed(g.difference, -1, difference), g.weight.copy()
+    if row == 0:
+        differences = np.zeros_like(g.difference)
+        differences[:2] = [difference, -difference][: len(differences)]
+    weight[row] = 0
+    return GridLayer(g.exponent, differences, weight, changed(g.bias, row, 0))
 
 
-def _refused(book: Book) -> None:
-    add = partial(book.add, features="packed-weights")
-    behind = "and the bytes of the planes make none"
-    cuts: list[tuple[str, str, Callable[[], Target], str | None, int]] = [
-        ("nothing", "a section of weights without a byte", grids, None, 0),
-        ("cut-in-table", "the section ends within its table", grids, None, 1),
-        ("cut-in-padding", "the section ends within the padding of its table", grids, None, 3),
-        ("cut-behind-table", "the section ends behind its table", grids, None, 4),
-        ("cut-in-model", "the section ends within a layer's model", grids, "sarm.1", 5),
-        ("cut-in-reserved", "the section ends within the reserved bytes of a layer's model", grids, "hyper.1", 7),
-        ("cut-in-values", "the section ends within the values of a raw layer", grids, "hyper.0", 9),
-        ("cut-before-model", f"the weights end before a layer's model, {behind}", grids, "sarm.1", 0),
-        ("cut-in-exponent", f"the weights end within the exponent of a layer, {behind}", grids, "sarm.1", 2),
-        ("cut-in-last-model", f"the weights end within the model of the last layer, {behind}", grids, "colour.1", 3),
-        (
-            "cut-in-last-values",
-            "the section ends within the values of its last layer, which is raw",
-            _last_raw,
-            "colour.1",
-            15,
-        ),
-        ("cut-by-one", "the section ends one byte before the values of its last layer do", _last_raw, "colour.1", 31),
-    ]
-    for name, title, base, layer, more in cuts:
-        add(f"malformed-grids-{name}", title, cut.of(base, layer, more), flags="truncation lengths-trusted")
-    for name, title, of_layer, field, value in (
-        ("form-2", "form 2", "hyper.1", "form", 2),
-        ("exponent-150", "exponent 150", "sarm.0", "exponent", 150),
-        ("exponent-minus-105", "exponent -105", "sarm.0", "exponent", -105),
-        ("raw-exponent", "a raw layer with an exponent", "hyper.0", "exponent", 1),
-        ("raw-exponent-below", "a raw layer with an exponent of -1", "hyper.0", "exponent", -1),
-        ("raw-exponent-scale", "a raw layer with a scale of exponents", "hyper.0", "exponent_scale", 1),
-        ("raw-weight-scale", "a raw layer with a scale of weights", "hyper.0", "weight_scale", 1),
-        ("raw-bias-scale", "a raw layer with a scale of biases", "hyper.0", "bias_scale", 255),
-    ):
-        make = model_field.of(grids, of_layer, field, value)
-        add(f"invalid-grids-{name}", title, make, flags="limit-off-by-one reserved-unchecked")
-    for name, of_layer, item in (("raw", "hyper.0", 0), ("packed", "opacity.1", 1), ("last", "colour.1", 1)):
-        title = f"a reserved byte of a layer's model that is not zero: {name}"
-        make = reserved.of(grids, of_layer, item, 1)
-        add(f"unsupported-grids-reserved-{name}", title, make, flags="reserved-unchecked")
+@grid_fault("weights.exponent", [1, 7, -104])
+def layer_of_zeros(g: GridLayer, exponent: int) -> GridLayer:
+    """A layer of zeros has a nonzero exponent."""
+    return GridLayer(exponent, g.difference * 0, g.weight * 0, g.bias * 0)
 
 
-def _last_exponent(layer: str, exponent: int) -> Callable[[], Refused]:
-    """Returns a function that makes a file whose last row of a layer has an exponent."""
+# A file in mode 1 with a raw last layer.
+_last_raw = target_of(lambda: packed_weights(_small("planted-cut", ("colour.1", 0, None, -0.0))))
 
-    def made() -> Refused:
-        t = grids()
-        name, _, number = layer.rpartition(".")
-        grid = weights.to_grid(codec.parse(t.data).scene.networks[name][int(number)])
+
+def _until(layer: str, exponent: int) -> Callable[[Target], int]:
+    """Returns a function that returns the difference with which the last row of a layer has an exponent."""
+
+    def difference(t: Target) -> int:
+        network, _, number = layer.rpartition(".")
+        grid = weights.to_grid(codec.parse(t.data).scene.networks[network][int(number)])
         assert grid is not None
-        return last_difference(t, layer, exponent - grid.exponent - int(grid.difference[:-1].sum()))
+        return exponent - grid.exponent - int(grid.difference[:-1].sum())
 
-    return made
-
-
-def _exponents(book: Book) -> None:
-    add = partial(book.add, features="packed-weights")
-    rows = [
-        ("even", "a row whose integers are all even", even_integers.of(grids, "hyper.1")),
-        ("first-difference", "a first row whose exponent is not the model's", first_difference.of(grids, "sarm.1", 1)),
-        ("outside-above", "an exponent above the largest", last_difference.of(grids, "opacity.1", 1000)),
-        ("outside-below", "an exponent below the least", last_difference.of(grids, "opacity.0", -1000)),
-        ("of-row-150", "a row with the exponent 150", _last_exponent("hyper.1", WEIGHT_EXPONENT_MAX + 1)),
-        ("of-row-minus-105", "a row with the exponent -105", _last_exponent("opacity.0", WEIGHT_EXPONENT_MIN - 1)),
-        ("far-outside", "exponents of eight digits", last_difference.of(grids, "hyper.1", (1 << 24) - 1)),
-        ("zero-row-differs", "a row of zeros with an exponent of its own", last_row_of_zeros.of(grids, "hyper.1", 3)),
-        ("zero-layer-exponent", "a layer of zeros with an exponent", layer_of_zeros.of(grids, "sarm.1", 7)),
-        (
-            "zero-row-first",
-            "a difference in the first row, which is all zero",
-            first_row_of_zeros.of(grids, "hyper.1", 2),
-        ),
-    ]
-    for name, title, make in rows:
-        add(f"invalid-grids-exponent-{name}", title, make, flags="grid-exponent zero-rows")
-    add(
-        "invalid-exponent-even-first",
-        "a first row whose integers are all even, odd ones behind it",
-        even_integers.of(grids, "hyper.1", 1),
-        requirements="D7.13-1",
-        flags="grid-exponent",
-    )
-    add(
-        "invalid-grids-exponent-even-least",
-        f"rows of the exponent {WEIGHT_EXPONENT_MIN}, whose integers are all even",
-        even_integers.of(grids, "opacity.0", None, WEIGHT_EXPONENT_MIN),
-        requirements="D7.13-1",
-        flags="grid-exponent limit-off-by-one",
-    )
+    return difference
 
 
-# --- the suite's valid files ------------------------------------------------------------------------------------------
+def _small(name: str, *values: Values, **dimensions: Any) -> Scene:
+    """Returns a scene of the smallest dimensions with some values of weights. dimensions: other ones."""
+    return with_weights(scene(name, 2, replace(SMALLEST, **dimensions), lanes=Lanes(0, 0, 1)), *values)
 
 
-def regular(name: str, change: Callable[[Networks], None]) -> Scene:
-    """Returns a scene with changed, packed networks. The symbols are drawn after the change."""
-    made = scene(name, 3)
-    change(made.networks)
-    return sampled(packed_weights(made), Sampler(Numbers(f"{name}/symbols")))
+def _regular(name: str, *values: Values) -> Scene:
+    """Returns a scene with some values of weights, packed. The symbols are drawn after the change."""
+    return sampled(packed_weights(with_weights(scene(name, 3), *values)), Sampler(Numbers(f"{name}/symbols")))
 
 
-def _valid(book: Book) -> None:
-    add = partial(book.valid, features="packed-weights")
-    add(
-        "packed-weights",
-        "every layer packed",
-        lambda: packed_weights(drawn("packed-weights", 4)),
-        requirements="D7.13-1 D9.3-1",
-        flags="grid-exponent",
-    )
-    add(
-        "packed-weights-chosen",
-        "weights as the reference encoder packs them",
-        lambda: pack_weights(drawn("packed-weights-chosen", 4)),
-        requirements="D7.13-1",
-        flags="grid-exponent",
-    )
-    add(
-        "grids-limits",
-        "exponents and integers at their limits",
-        partial(regular, "grids-limits", _limits),
-        requirements="D7.13-1 R6.8-8 R6.8-7",
-        flags="grid-exponent symbol-limit limit-off-by-one",
-    )
-    add(
-        "grids-subnormal",
-        "a layer of subnormal numbers, each integer of another length",
-        partial(regular, "grids-subnormal", _subnormals),
-        requirements="D7.13-1",
-        flags="subnormals",
-    )
-    add(
-        "grids-zeros",
-        "rows of zeros at the beginning, between and at the end of a layer, and layers of zeros",
-        partial(regular, "grids-zeros", _zeros),
-        requirements="D7.13-1 R6.8-8",
-        flags="zero-rows",
-    )
-    add(
-        "grids-differences",
-        "exponents that rise and fall from row to row",
-        partial(regular, "grids-differences", _differences),
-        requirements="D7.13-1 R6.8-8",
-        flags="grid-exponent",
-    )
-    add(
-        "grids-biases",
-        "rows whose exponent is that of the bias",
-        partial(regular, "grids-biases", _biases),
-        requirements="D7.13-1 R6.8-8",
-        flags="grid-exponent",
-    )
-    for value in (0, 255):
-        add(
-            f"grids-scales-{value}",
-            f"all scale indices {value}",
-            partial(_one_scale, value),
-            requirements="D7.13-1 R6.8-8 D8.5-1 D8.7-1",
-            flags="grid-scales raw-width",
-        )
-    add(
-        "grids-scales",
-        "scale indices of their own for exponents, weights and biases of each layer",
-        _own_scales,
-        requirements="D7.13-1 R6.8-8 D8.5-1",
-        flags="grid-scales",
-    )
-    add(
-        "grids-escapes",
-        "integers of each length, far beyond their scale",
-        _escapes,
-        requirements="D7.13-1 R6.8-8 D8.6-1 D8.7-1",
-        flags="escape-prefix escape-sign raw-before-escapes",
-    )
-    add(
-        "grids-lanes",
-        "a substream of 256 lanes",
-        lambda: replace(regular("grids-lanes", lambda n: None), lanes=Lanes(0, 0, 8)),
-        requirements="D7.13-1 R6.8-8 D8.3-1",
-        flags="lane-order idle-lanes",
-    )
-
-
-def _limits(n: Networks) -> None:
-    # The least and the largest exponent of a layer and of a row, and integers at the limit.
-    w, b = n["opacity"][0]
-    w[0], b[0] = 0, np.float32(2.0**-149)
-    w[1], b[1] = 2.0**104, 0
-    w[2], b[2] = np.float32(2.0**-149 * ((1 << 24) - 1)), 0
-    w, b = n["covariance"][0]
-    w[0], b[0] = 1 - (1 << 24), (1 << 24) - 1
-    w[1], b[1] = 2.0**104, -(2.0**127)
-    w[2], b[2] = float(np.float32(2.0**104 * ((1 << 24) - 1))), 2.0**104
-    w, b = n["colour"][0]
-    w[0], b[0] = 2.0**104, 0
-
-
-def _subnormals(n: Networks) -> None:
-    # Odd multiples of 2^-149 from 1 bit to 24, of which only those of 24 bits are normal numbers.
-    w, b = n["colour"][0]
+def _lengths(w: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Returns odd multiples of 2^-149 from 1 bit to 24, of which only those of 24 bits are normal numbers."""
     lengths = np.arange(w.size).reshape(w.shape) % 24
     sign = np.where(lengths % 3 == 1, -1.0, 1.0)
-    w[:] = sign * np.ldexp(np.ldexp(1.0, lengths) + (lengths > 0), -149)
-    b[:] = np.ldexp(np.ldexp(1.0, 1 + np.arange(len(b)) % 23) - 1, -149)
+    return sign * np.ldexp(np.ldexp(1.0, lengths) + (lengths > 0), -149)
 
 
-def _zeros(n: Networks) -> None:
-    for name, rows in (("opacity", [0, 1]), ("colour", [1]), ("covariance", [2])):
-        w, b = n[name][0]
-        w[rows], b[rows] = 0, 0
-    # Whole layers.
-    for name in ("opacity", "carm.1"):
-        w, b = n[name][-1]
-        w[:], b[:] = 0, 0
+def _fall(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Returns weights or biases of rows whose exponents rise and fall."""
+    rows = np.arange(len(values))
+    e = (-1) ** rows * (rows % 23) if len(rows) > 40 else rows * -3
+    return np.ldexp(values.T, np.clip(e, -20, 0)).T
 
 
-def _differences(n: Networks) -> None:
-    for layers in n.values():
-        for w, b in layers:
-            rows = np.arange(len(w))
-            e = (-1) ** rows * (rows % 23) if len(w) > 40 else rows * -3
-            e = np.clip(e, -20, 0)
-            w[:] = np.ldexp(w, e[:, None])
-            b[:] = np.ldexp(b, e)
+def _low_scales() -> Scene:
+    numbers = Numbers("grids-escapes")
+    values = [s * ((1 << z) | 1) for z in range(1, 24) for s in (1, -1)] + [(1 << 24) - 1, 1 - (1 << 24)]
 
+    def any_of(old: NDArray[np.float32]) -> NDArray[np.float32]:
+        return dyadic(numbers.chosen(values, *old.shape), 0)
 
-def _biases(n: Networks) -> None:
-    # Only the bias is odd, or only it has the row's exponent.
-    for layers in n.values():
-        w, b = layers[0]
-        w[:] = np.round(w) * 2
-        b[:] = np.round(b) + np.float32(0.5)
-        b[::2] = 1
+    made = _regular("grids-escapes", ("colour.0", ALL, any_of, any_of))
+    return replace(made, weight_scales=np.minimum(scales(made.networks), 60).astype(np.uint8))
 
 
 def _one_scale(value: int) -> Scene:
@@ -483,13 +221,169 @@ def _own_scales() -> Scene:
     return replace(scene("grids-scales", 2), weight_scales=rows.astype(np.uint8))
 
 
-def _escapes() -> Scene:
-    def change(n: Networks) -> None:
-        numbers = Numbers("grids-escapes")
-        w, b = n["colour"][0]
-        values = [s * ((1 << z) | 1) for z in range(1, 24) for s in (1, -1)] + [(1 << 24) - 1, 1 - (1 << 24)]
-        w[:] = dyadic(numbers.chosen(values, *w.shape), 0)
-        b[:] = dyadic(numbers.chosen(values, len(b)), 0)
+def _with_forms(made: Scene, forms: NDArray[Any]) -> Scene:
+    """Returns the scene in mode 1, with some layers raw. forms: 0 for those."""
+    packed = packed_weights(made)
+    assert packed.weight_scales is not None
+    # The model of a raw layer has no scales.
+    scale = np.where(forms[:, None] == 0, 0, packed.weight_scales).astype(np.uint8)
+    return replace(packed, weight_scales=scale, weight_forms=forms.astype(np.uint8))
 
-    made = regular("grids-escapes", change)
-    return replace(made, weight_scales=np.minimum(scales(made.networks), 60).astype(np.uint8))
+
+def _chosen(name: str, forms: Callable[[int], NDArray[Any]], d: Dimensions = TINY_DIMENSIONS) -> Scene:
+    """Returns a scene in mode 1 in which all layers can be packed. forms: of the first layers."""
+    made = drawn(name, 3, d)
+    assert packable(made.networks).all()
+    return _with_forms(made, forms(len(layers_of(d))))
+
+
+def _some_raw(made: Scene, *names: str) -> Scene:
+    """Returns the scene with some layers raw, and the others packed."""
+    return _with_forms(made, np.array([name not in names for name, _, _ in layers_of(made.dimensions)]))
+
+
+# fmt: off
+_TINY, _INTEGER = 2.0**-149, (1 << 24) - 1
+# The least and the largest exponent of a layer and of a row, and integers at the limit.
+_LIMITS = (
+    ("opacity.0", 0, 0, _TINY), ("opacity.0", 1, 2.0**104, 0), ("opacity.0", 2, _TINY * _INTEGER, 0),
+    ("covariance.0", 0, -_INTEGER, _INTEGER), ("covariance.0", 1, 2.0**104, -(2.0**127)),
+    ("covariance.0", 2, 2.0**104 * _INTEGER, 2.0**104), ("colour.0", 0, 2.0**104, 0))
+# -0, an odd integer beyond the limit, and exponents beyond their limits, and a row of zeros in a raw layer.
+_BEYOND = (
+    ("hyper.0", (0, 0), -0.0, None), ("covariance.1", 3, None, -0.0), ("opacity.0", np.s_[0, :2], (2.0**24, 1), None),
+    ("opacity.1", 0, 0, 0), ("opacity.1", (0, 0), 2.0**105, None), ("colour.0", np.s_[1, :2], (3.0e38, _TINY), None),
+    ("colour.0", 0, 0, 0))
+_SUBNORMAL = tuple(
+    values for name, tiny in (("hyper", _TINY), ("opacity", _TINY), ("colour", (2.0**23 - 1) * _TINY))
+    for values in ((f"{name}.0", ALL, 1, 1), (f"{name}.0", (0, 0), tiny, None)))
+_NOTHING = (("opacity", ALL, 0, 0), ("colour", ALL, 0, 0))
+_SCALED = tuple(
+    values for layer in ("opacity.0", "covariance.0")
+    for values in ((layer, ALL, 0, 0), (layer, (0, 0), _INTEGER, None), (layer, (1, 0), 2.0**-30, None)))
+_PLANES = "and the bytes of the planes make none"
+CASES = [
+    # The section's end, and the models of layers.
+    *refused("packed-weights", "truncation lengths-trusted",
+        ("grids-nothing", "a section of weights without a byte", grids, cut, None, 0),
+        ("grids-cut-in-table", "the section ends within its table", grids, cut, None, 1),
+        ("grids-cut-in-padding", "the section ends within the padding of its table", grids, cut, None, 3),
+        ("grids-cut-behind-table", "the section ends behind its table", grids, cut, None, 4),
+        ("grids-cut-in-model", "the section ends within a layer's model", grids, cut, "sarm.1", 5),
+        ("grids-cut-in-reserved", "the section ends within the reserved bytes of a layer's model", grids, cut,
+         "hyper.1", 7),
+        ("grids-cut-in-values", "the section ends within the values of a raw layer", grids, cut, "hyper.0", 9),
+        ("grids-cut-before-model", f"the weights end before a layer's model, {_PLANES}", grids, cut, "sarm.1", 0),
+        ("grids-cut-in-exponent", f"the weights end within the exponent of a layer, {_PLANES}", grids, cut, "sarm.1",
+         2),
+        ("grids-cut-in-last-model", f"the weights end within the model of the last layer, {_PLANES}", grids, cut,
+         "colour.1", 3),
+        ("grids-cut-in-last-values", "the section ends within the values of its last layer, which is raw", _last_raw,
+         cut, "colour.1", 15),
+        ("grids-cut-by-one", "the section ends one byte before the values of its last layer do", _last_raw, cut,
+         "colour.1", 31)),
+    *refused("packed-weights", "limit-off-by-one reserved-unchecked",
+        ("grids-form-2", "form 2", grids, model_field, "hyper.1", "form", 2),
+        ("grids-exponent-150", "exponent 150", grids, model_field, "sarm.0", "exponent", 150),
+        ("grids-exponent-minus-105", "exponent -105", grids, model_field, "sarm.0", "exponent", -105),
+        ("grids-raw-exponent", "a raw layer with an exponent", grids, model_field, "hyper.0", "exponent", 1),
+        ("grids-raw-exponent-below", "a raw layer with an exponent of -1", grids, model_field, "hyper.0", "exponent",
+         -1),
+        ("grids-raw-exponent-scale", "a raw layer with a scale of exponents", grids, model_field, "hyper.0",
+         "exponent_scale", 1),
+        ("grids-raw-weight-scale", "a raw layer with a scale of weights", grids, model_field, "hyper.0", "weight_scale",
+         1),
+        ("grids-raw-bias-scale", "a raw layer with a scale of biases", grids, model_field, "hyper.0", "bias_scale",
+         255)),
+    *refused("packed-weights", "reserved-unchecked", *(
+        (f"grids-reserved-{name}", f"a reserved byte of a layer's model that is not zero: {name}", grids, reserved,
+         layer, item, 1)
+        for name, layer, item in (("raw", "hyper.0", 0), ("packed", "opacity.1", 1), ("last", "colour.1", 1)))),
+
+    # Exponents of rows.
+    *refused("packed-weights", "grid-exponent zero-rows",
+        ("grids-exponent-even", "a row whose integers are all even", grids, even_integers, "hyper.1"),
+        ("grids-exponent-first-difference", "a first row whose exponent is not the model's", grids, difference,
+         "sarm.1", 0, 1),
+        ("grids-exponent-outside-above", "an exponent above the largest", grids, difference, "opacity.1", -1, 1000),
+        ("grids-exponent-outside-below", "an exponent below the least", grids, difference, "opacity.0", -1, -1000),
+        ("grids-exponent-of-row-150", "a row with the exponent 150", grids, difference, "hyper.1", -1,
+         _until("hyper.1", WEIGHT_EXPONENT_MAX + 1)),
+        ("grids-exponent-of-row-minus-105", "a row with the exponent -105", grids, difference, "opacity.0", -1,
+         _until("opacity.0", WEIGHT_EXPONENT_MIN - 1)),
+        ("grids-exponent-far-outside", "exponents of eight digits", grids, difference, "hyper.1", -1, (1 << 24) - 1),
+        ("grids-exponent-zero-row-differs", "a row of zeros with an exponent of its own", grids, row_of_zeros,
+         "hyper.1", -1, 3),
+        ("grids-exponent-zero-layer-exponent", "a layer of zeros with an exponent", grids, layer_of_zeros, "sarm.1", 7),
+        ("grids-exponent-zero-row-first", "a difference in the first row, which is all zero", grids, row_of_zeros,
+         "hyper.1", 0, 2)),
+    *refused("packed-weights", "grid-exponent",
+        ("exponent-even-first", "a first row whose integers are all even, odd ones behind it", grids, even_integers,
+         "hyper.1", 1),
+        ("grids-exponent-even-least", f"rows of the exponent {WEIGHT_EXPONENT_MIN}, whose integers are all even", grids,
+         even_integers, "opacity.0", None, WEIGHT_EXPONENT_MIN, More("limit-off-by-one")), requirements="D7.13-1"),
+
+    # Valid files.
+    *valid("packed-weights", "", "D7.13-1",
+        ("packed-weights", "every layer packed", lambda: packed_weights(drawn("packed-weights", 4)),
+         More("grid-exponent", "D9.3-1")),
+        ("packed-weights-chosen", "weights as the reference encoder packs them",
+         lambda: pack_weights(drawn("packed-weights-chosen", 4)), More("grid-exponent")),
+        ("grids-limits", "exponents and integers at their limits", _regular, "grids-limits", *_LIMITS,
+         More("grid-exponent symbol-limit limit-off-by-one", "R6.8-8 R6.8-7")),
+        ("grids-subnormal", "a layer of subnormal numbers, each integer of another length", _regular, "grids-subnormal",
+         ("colour.0", ALL, _lengths, lambda b: np.ldexp(np.ldexp(1.0, 1 + np.arange(len(b)) % 23) - 1, -149)),
+         More("subnormals"))),
+    *valid("packed-weights", "", "D7.13-1 R6.8-8",
+        ("grids-zeros", "rows of zeros at the beginning, between and at the end of a layer, and layers of zeros",
+         _regular, "grids-zeros", ("opacity.0", [0, 1], 0, 0), ("colour.0", 1, 0, 0), ("covariance.0", 2, 0, 0),
+         ("opacity.-1", ALL, 0, 0), ("carm.1.-1", ALL, 0, 0), More("zero-rows")),
+        ("grids-differences", "exponents that rise and fall from row to row", _regular, "grids-differences",
+         ("*", ALL, _fall, _fall), More("grid-exponent")),
+        ("grids-biases", "rows whose exponent is that of the bias", _regular, "grids-biases",
+         ("*.0", ALL, lambda w: np.round(w) * 2, lambda b: np.round(b) + np.float32(0.5)),
+         ("*.0", slice(None, None, 2), None, 1), More("grid-exponent")),
+        *((f"grids-scales-{value}", f"all scale indices {value}", _one_scale, value,
+           More("grid-scales raw-width", "D8.5-1 D8.7-1")) for value in (0, 255)),
+        ("grids-scales", "scale indices of their own for exponents, weights and biases of each layer", _own_scales,
+         More("grid-scales", "D8.5-1")),
+        ("grids-escapes", "integers of each length, far beyond their scale", _low_scales,
+         More("escape-prefix escape-sign raw-before-escapes", "D8.6-1 D8.7-1")),
+        ("grids-lanes", "a substream of 256 lanes", lambda: replace(_regular("grids-lanes"), lanes=Lanes(0, 0, 8)),
+         More("lane-order idle-lanes", "D8.3-1"))),
+
+    # Raw because no grid contains the values.
+    *valid("packed-weights", "raw-layer", "D7.13-1 R6.8-7 R6.8-3",
+        ("grids-raw-layers", "layers that are raw: -0, integers and exponents beyond the limits", _regular,
+         "grids-raw-layers", *_BEYOND),
+        ("grids-raw-all", "every layer raw, and a substream of no symbols", _regular, "grids-raw-all",
+         ("*", 0, None, -0.0), More("empty-substream"))),
+    *valid("packed-weights", "raw-layer grid-exponent", "R6.8-7 R6.8-3 D7.13-1",
+        ("grids-last-bias", "a layer that is raw because of its last bias alone", lambda: packed_weights(
+             _small("planted-last-bias", ("opacity.0", ALL, 1, 1), ("opacity.0", 2, None, 2.0**-24), render_width=3)))),
+    *valid("packed-weights", "subnormals raw-layer grid-exponent", "D7.13-1 R6.8-7",
+        ("grids-raw-subnormal", "layers that are raw because of one subnormal number", lambda: packed_weights(
+             settled(_small("outside-least", *_SUBNORMAL))))),
+
+    # Raw by choice.
+    *valid("packed-weights", "raw-layer", "D7.13-1 R6.8-7 R6.8-5",
+        ("grids-raw-by-choice", "every second layer raw, all of which could be packed", _chosen, "grids-raw-by-choice",
+         lambda n: np.arange(n) % 2, More("canonical-form")),
+        ("grids-raw-all-by-choice",
+         "every layer raw, none of which has to be: as in mode 0, but for the models and the substream", _chosen,
+         "grids-raw-all-by-choice", np.zeros, More("empty-substream canonical-form")),
+        ("grids-packed-one", "the last layer packed, all others raw", _chosen, "grids-packed-one",
+         lambda n: np.arange(n) == n - 1)),
+    *valid("packed-weights", "raw-layer", "D7.13-1",
+        ("grids-raw-of-zeros", "raw layers of zeros, and packed ones", lambda: _some_raw(
+             settled(with_weights(scene("grids-raw-of-zeros", 2, SMALLEST), *_NOTHING)), "opacity.0", "colour.1"),
+         More("zero-rows", "R6.8-7")),
+        ("grids-raw-at-the-limit",
+         "the largest integer in one row and a far smaller number in another, in a raw and in a packed layer",
+         lambda: _some_raw(_small("planted-scaled", *_SCALED, render_width=2), "opacity.0"),
+         More("limit-off-by-one", "R6.8-7")),
+        ("grids-no-inputs-packed", "a layer of F_h that has no inputs, packed", _chosen, "grids-no-inputs-packed",
+         np.ones, CONSTANT, More("grid-exponent empty-refused", "R6.8-8")),
+        ("grids-no-inputs-raw", "a layer of F_h that has no inputs, raw", _chosen, "grids-no-inputs-raw", np.zeros,
+         CONSTANT, More("grid-exponent empty-refused", "R6.8-7"))),
+]

@@ -20,69 +20,17 @@ from refcodec.bitstream.scene import Ancillary, Scene
 from refcodec.bitstream.weights import packable
 
 from ..manifest import VECTORS
-from .book import Book
-from .cells import any_model
 from .numbers import Int64, Numbers
 from .samplers import Sampler, drawn, sampled
-from .scenes import Networks, dyadic, lattice, positions, scene, with_symbols
+from .scenes import any_model, drawn_symbols, lattice, positions, scene
+from .table import More, valid
 from .targets import BEHIND
-
-# The number of unusual scenes.
-UNUSUAL = 16
-
-
-def add(book: Book) -> None:
-    """Adds the vectors."""
-    book.valid(
-        "worked-example",
-        "the example of Annex D",
-        (VECTORS / "tiny-example.c3gs").read_bytes,
-        features="substream attributes",
-        requirements="D7.3-1 D7.6-1 D7.10-1 D8.2-1",
-    )
-    book.valid(
-        "plain",
-        "a small file of profile Tiny",
-        partial(drawn, "plain", 12),
-        features="substream attributes carm planes masks",
-        requirements="D7.2-2 D7.3-1 D7.5-1 D7.6-1 D7.7-1 D7.9-1 D7.10-1 D8.2-1 D8.5-1",
-        flags="context-order carm-ignored stage-order",
-    )
-    trained = "D7.2-1 D7.2-2 D7.3-1 D7.5-1 D7.6-1 D7.9-1 D7.10-1 D9.1-1 D9.2-1"
-    book.valid(
-        "trained-caliterra",
-        "a scene of 2,182 anchors learnt from aerial photographs, packed",
-        partial(_trained, "caliterra"),
-        features="trained main packed-positions packed-weights",
-        requirements=trained,
-        seconds=120,
-    )
-    book.valid(
-        "trained-snowmiku",
-        "a scene of 3,866 anchors learnt from photographs of a doll, raw",
-        partial(_trained, "snowmiku"),
-        features="trained main raw-positions raw-weights",
-        requirements=trained,
-        seconds=120,
-        licence="MIT",
-    )
-    for seed in range(UNUSUAL):
-        book.valid(
-            f"unusual-{seed}",
-            "anything that the format allows",
-            partial(unusual, seed),
-            features="unusual",
-            requirements="D7.2-2 D7.3-1 D7.5-1 D7.6-1 D7.9-1 D7.10-1 D8.5-1 D8.6-1 D9.1-1 D9.2-1",
-            seed=seed,
-        )
+from .weights import Networks, dyadic
 
 
 def _trained(name: str) -> Scene:
     """Encodes the scene of the vector again, which reveals changes of the encoder (benchmarks/train_sources.py)."""
     return codec.parse((VECTORS / "valid" / f"trained-{name}.c3gs").read_bytes()).scene
-
-
-# --- what no encoder writes -------------------------------------------------------------------------------------------
 
 
 def _widths(numbers: Numbers, count: tuple[int, int], most: int) -> tuple[int, ...]:
@@ -96,27 +44,22 @@ def _weights(numbers: Numbers, d: Dimensions) -> Networks:
         found[name] = []
         for out, fan_in in shapes:
             kind = numbers.integer(0, 5)
-            weight, bias = (
-                dyadic(numbers.integers(-255, 255, out, fan_in), 9),
-                dyadic(numbers.integers(-3000, 3000, out), 6),
-            )
+            weight = dyadic(numbers.integers(-255, 255, out, fan_in), 9)
+            bias = dyadic(numbers.integers(-3000, 3000, out), 6)
             if kind == 1:
                 weight, bias = weight * 0, bias * 0 + dyadic(numbers.integers(-2, 2, out), 0)
             elif kind == 2:
-                weight, bias = np.ldexp(weight, -140).astype(np.float32), np.ldexp(bias, -138).astype(np.float32)
+                weight, bias = np.ldexp(weight, -140), np.ldexp(bias, -138)
             elif kind == 3:
                 largest = min(1023, ((1 << 24) - 1) // (1023 * fan_in))
                 weight, bias = dyadic(numbers.chosen([-largest, largest], out, fan_in), 0), bias * 0
             elif kind == 4:
                 shift = -numbers.integers(0, 24, out)
-                weight, bias = (
-                    np.ldexp(weight, shift[:, None]).astype(np.float32),
-                    np.ldexp(bias, shift).astype(np.float32),
-                )
+                weight, bias = np.ldexp(weight, shift[:, None]), np.ldexp(bias, shift)
             try:
                 derive_layer(weight, bias)
             except BoundError:
-                weight, bias = np.ldexp(weight, -12).astype(np.float32), np.ldexp(bias, -12).astype(np.float32)
+                weight, bias = np.ldexp(weight, -12), np.ldexp(bias, -12)
             found[name].append((weight.astype(np.float32), bias.astype(np.float32)))
     return found
 
@@ -124,9 +67,8 @@ def _weights(numbers: Numbers, d: Dimensions) -> Networks:
 def _symbols(numbers: Numbers, limit: int, *shape: int) -> Int64:
     """Draws small numbers, and sometimes one of any size."""
     small = numbers.centred(3, *shape)
-    large = (numbers.chosen([-1, 1], *shape) << numbers.integers(0, limit.bit_length() - 1, *shape)) + numbers.integers(
-        -1, 1, *shape
-    )
+    large = numbers.chosen([-1, 1], *shape) << numbers.integers(0, limit.bit_length() - 1, *shape)
+    large += numbers.integers(-1, 1, *shape)
     return np.asarray(np.clip(np.where(numbers.integers(0, 11, *shape) == 0, large, small), -limit, limit))
 
 
@@ -256,7 +198,23 @@ def unusual(seed: int) -> Scene:
     made = replace(made, position_forms=_position_forms(numbers, made))
     if seed % 2:
         return sampled(made, Sampler(numbers, 20), planes=numbers.integer(0, 1) == 1)
-    given = {"features": (anchors, d.features), "scalings": (anchors, 6), "offsets": (anchors, d.offset_count, 3)}
-    return with_symbols(
-        made, **{kind: _symbols(numbers, ATTRIBUTE_SYMBOL_MAX, *shape) for kind, shape in given.items()}
-    )
+    return drawn_symbols(made, partial(_symbols, numbers, ATTRIBUTE_SYMBOL_MAX))
+
+
+# fmt: off
+_TRAINED = "D7.2-1 D7.2-2 D7.3-1 D7.5-1 D7.6-1 D7.9-1 D7.10-1 D9.1-1 D9.2-1"
+CASES = [
+    *valid("substream attributes", "", "D7.3-1 D7.6-1 D7.10-1 D8.2-1",
+        ("worked-example", "the example of Annex D", (VECTORS / "tiny-example.c3gs").read_bytes)),
+    *valid("substream attributes carm planes masks", "context-order carm-ignored stage-order",
+        "D7.2-2 D7.3-1 D7.5-1 D7.6-1 D7.7-1 D7.9-1 D7.10-1 D8.2-1 D8.5-1",
+        ("plain", "a small file of profile Tiny", drawn, "plain", 12)),
+    *valid("trained main packed-positions packed-weights", "", _TRAINED,
+        ("trained-caliterra", "a scene of 2,182 anchors learnt from aerial photographs, packed", _trained, "caliterra",
+         More(seconds=120))),
+    *valid("trained main raw-positions raw-weights", "", _TRAINED,
+        ("trained-snowmiku", "a scene of 3,866 anchors learnt from photographs of a doll, raw", _trained, "snowmiku",
+         More(seconds=120, licence="MIT"))),
+    *valid("unusual", "", "D7.2-2 D7.3-1 D7.5-1 D7.6-1 D7.9-1 D7.10-1 D8.5-1 D8.6-1 D9.1-1 D9.2-1", *(
+        (f"unusual-{seed}", "anything that the format allows", unusual, seed, More(seed=seed)) for seed in range(16))),
+]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from .conventions import Int64, clamp, rshift_round
 from .dimensions import SCALINGS, Dimensions
-from .entropy import Coder
+from .entropy import Coder, ValueGroup
 from .networks import IntNetwork, activation
 from .tables import STEP_LENGTH, tables
 
@@ -98,8 +98,8 @@ def code_attributes(
 
         flat = None if known is None else known.reshape(-1).astype(np.int64)
         sizes = [c * columns for c in counts]
-        symbols = coder.values(tables().gauss, m.reshape(-1), s.reshape(-1), sizes, ATTRIBUTE_SYMBOL_MAX, name, flat)
-        return symbols.reshape(n, columns)
+        group = ValueGroup(tables().gauss, m.reshape(-1), s.reshape(-1), sizes, ATTRIBUTE_SYMBOL_MAX, name, flat)
+        return coder.values(group).reshape(n, columns)
 
     # SPEC 7.10: the scalings come first, then the offsets that the masks keep.
     part = slice(width, width + SCALINGS)
@@ -115,7 +115,7 @@ def code_attributes(
         return f"attributes.offsets[{chunks[stream][anchor - first[stream]]},{column // 3},{column % 3}]"
 
     offsets = np.zeros(n * columns, dtype=np.int64)
-    offsets[kept] = coder.values(
+    group = ValueGroup(
         tables().gauss,
         mean[:, width + SCALINGS :].reshape(-1)[kept],
         scale[:, width + SCALINGS :].reshape(-1)[kept],
@@ -124,6 +124,7 @@ def code_attributes(
         offset_name,
         None if given is None else given.offsets.reshape(-1)[kept].astype(np.int64),
     )
+    offsets[kept] = coder.values(group)
     # SPEC 7.10: then the feature slices.
     features = np.zeros((n, width), dtype=np.int64)
     done = 0

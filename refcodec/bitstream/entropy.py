@@ -123,25 +123,29 @@ class SymbolCoder(Protocol):
         ...
 
 
+@dataclass(frozen=True)
+class ValueGroup:
+    """A group of values for a Coder.
+
+    mean: int64 [values], in 1/16 of a step. scale: int64 [values], scale indices. counts: the number of values of each
+    substream. limit: the largest magnitude of a value. name: for a trace. given: int64 [values], the values for
+    encoding, or None for decoding.
+    """
+
+    models: ModelSet
+    mean: Int64
+    scale: Int64
+    counts: list[int]
+    limit: int
+    name: SymbolName
+    given: Int64 | None = None
+
+
 class Coder(SymbolCoder, Protocol):
     """A coder of symbols and values, in either direction."""
 
-    def values(
-        self,
-        models: ModelSet,
-        mean: Int64,
-        scale: Int64,
-        counts: list[int],
-        limit: int,
-        name: SymbolName,
-        given: Int64 | None,
-    ) -> Int64:
-        """Codes one group of values and returns them, int64 [values].
-
-        mean: int64 [values], in 1/16 of a step. scale: int64 [values], scale indices. counts: the number of values of
-        each substream. limit: the largest magnitude of a value. name: for a trace. given: int64 [values], the values
-        for encoding, or None for decoding.
-        """
+    def values(self, group: ValueGroup) -> Int64:
+        """Codes one group of values and returns them, int64 [values]."""
         ...
 
 
@@ -358,21 +362,12 @@ class Decoder:
         self.raw_at[:] = at
         return np.array(found, dtype=np.int64)
 
-    def values(
-        self,
-        models: ModelSet,
-        mean: Int64,
-        scale: Int64,
-        counts: list[int],
-        limit: int,
-        name: SymbolName,
-        given: Int64 | None = None,
-    ) -> Int64:
+    def values(self, group: ValueGroup) -> Int64:
         """SPEC 8.5: decodes a group, as Coder.values. Values past the limit become 0, and `finish` reports them."""
-        layout = _Layout(counts, self.lanes)
-        model, centre, raw = select(mean, scale)
-        j = self._group(models, model, layout)
-        radius = models.radius.take(model)
+        layout = _Layout(group.counts, self.lanes)
+        model, centre, raw = select(group.mean, group.scale)
+        j = self._group(group.models, model, layout)
+        radius = group.models.radius.take(model)
         high = centre + j - radius
         low = self._raw(raw, layout)
         escaped = np.flatnonzero(j == 2 * radius + 1)
@@ -381,15 +376,15 @@ class Decoder:
             n = self._escapes((np.searchsorted(layout.starts, escaped, side="right") - 1).tolist())
             high[escaped] = centre[escaped] + n + np.sign(n) * radius[escaped]
         value = (high << raw) + low
-        outside = np.flatnonzero(np.abs(value) > limit)
+        outside = np.flatnonzero(np.abs(value) > group.limit)
         if outside.size:
-            stream_of = np.repeat(np.arange(len(counts)), layout.counts)
+            stream_of = np.repeat(np.arange(len(group.counts)), layout.counts)
             for stream, i in zip(*np.unique(stream_of[outside], return_index=True), strict=True):
-                self.bad_range.setdefault(int(stream), (int(value[outside[i]]), limit))
+                self.bad_range.setdefault(int(stream), (int(value[outside[i]]), group.limit))
             value[outside] = 0
         self._note(value, layout)
         if self.trace:
-            self._show(models, mean, scale, value, layout, name)
+            self._show(group.models, group.mean, group.scale, value, layout, group.name)
         return value
 
     def plain(
@@ -502,23 +497,15 @@ class Encoder:
         frequency = models.upper.take(position) - lower
         self.groups.append((layout.spread(frequency, TOTAL), layout.spread(lower, 0)))
 
-    def values(
-        self,
-        models: ModelSet,
-        mean: Int64,
-        scale: Int64,
-        counts: list[int],
-        limit: int,
-        name: SymbolName,
-        given: Int64 | None,
-    ) -> Int64:
+    def values(self, group: ValueGroup) -> Int64:
         """Encodes a group, as Coder.values. Raises ValueError for a value past the limit."""
+        given = group.given
         assert given is not None
-        require_limit(given, limit)
-        layout = _Layout(counts, self.lanes)
-        model, index, away, raw = placed(models, mean, scale, given)
-        self._group(models, model, index, layout)
-        radius = models.radius.take(model)
+        require_limit(given, group.limit)
+        layout = _Layout(group.counts, self.lanes)
+        model, index, away, raw = placed(group.models, group.mean, group.scale, given)
+        self._group(group.models, model, index, layout)
+        radius = group.models.radius.take(model)
         escaped = index > 2 * radius
         low = given & ((np.int64(1) << raw) - 1)
         for stream, (start, count) in enumerate(zip(layout.starts, layout.counts, strict=True)):

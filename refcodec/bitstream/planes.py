@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from . import syntax
 from .context import JoinedPlanes
 from .dimensions import Dimensions
-from .entropy import Coder, Decoder, Encoder, Trace, open_substream, require_limit
+from .entropy import Coder, Decoder, Encoder, Trace, ValueGroup, open_substream, require_limit
 from .kernel import NativeScene, substream_error
 from .networks import IntNetwork, activation
 from .source import Piece, pad4, padded
@@ -53,9 +53,8 @@ def code_planes(
             return f"planes.{PLANE_NAMES[plane]}[{channel},{i[row]},{j[row]}]"
 
         counts = [channels * len(i)] * PLANES
-        flat[at] = coder.values(
-            tables().laplace, parameters[:, 0], parameters[:, 1], counts, PLANE_SYMBOL_MAX, name, known
-        )
+        models, mean, scale = tables().laplace, parameters[:, 0], parameters[:, 1]
+        flat[at] = coder.values(ValueGroup(models, mean, scale, counts, PLANE_SYMBOL_MAX, name, known))
     return padded[:, :, 1:, 1:-1].copy()
 
 

@@ -13,7 +13,7 @@ from ..native.scene import weight_symbols
 from . import syntax
 from .conventions import Int64
 from .dimensions import Dimensions, layers_of
-from .entropy import Coder, Decoder, Encoder, Trace, parse_substream
+from .entropy import Coder, Decoder, Encoder, Trace, ValueGroup, parse_substream
 from .errors import BitstreamError
 from .kernel import substream_error
 from .networks import F32, BoundError, Layer
@@ -150,9 +150,8 @@ def code_grids(
             return f"{parts[part][0]}[{index - ends[part]}]"
 
         each = scale.astype(np.int64) + SCALE_MIN
-        found.append(
-            coder.values(models, np.zeros(len(each), np.int64), each, [len(each)], WEIGHT_SYMBOL_MAX, name, values)
-        )
+        mean, counts = np.zeros(len(each), np.int64), [len(each)]
+        found.append(coder.values(ValueGroup(models, mean, each, counts, WEIGHT_SYMBOL_MAX, name, values)))
     return _by_layer(shapes, found)
 
 

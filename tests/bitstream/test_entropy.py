@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from refcodec.bitstream import tables
-from refcodec.bitstream.entropy import STATE_MIN, Decoder, Encoder, Substream, parse_substream, select
+from refcodec.bitstream.entropy import STATE_MIN, Decoder, Encoder, Substream, ValueGroup, parse_substream, select
 from refcodec.bitstream.errors import BitstreamError
 from refcodec.bitstream.masks import mask_models
 from refcodec.bitstream.source import Piece
@@ -54,7 +54,7 @@ class Group:
         """Encodes values, or decodes them."""
         if self.kind == "mask":
             return coder.plain(self.models, self.mean, self.counts, no_name, *value)
-        return coder.values(self.models, self.mean, self.scale, self.counts, limit, no_name, *value)
+        return coder.values(ValueGroup(self.models, self.mean, self.scale, self.counts, limit, no_name, *value))
 
     def by_the_text(self, spec: Spec, opened: Any, stream: int, limit: int) -> list[int]:
         """The values of a stream as SPEC.md's blocks decode them."""

@@ -11,9 +11,10 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+from random_scenes import random_scene
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from conformance.cases.scenes import MAIN_DIMENSIONS, random_scene
+from conformance.cases.scenes import MAIN_DIMENSIONS
 from refcodec.bitstream import batches, codec, networks, reader, reconstruction
 from refcodec.bitstream.entropy import TraceRow
 from refcodec.bitstream.header import Lanes

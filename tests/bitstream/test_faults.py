@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from random_scenes import random_scene, without_chunks
 
 from conformance.cases.checksums import repair
-from conformance.cases.scenes import random_scene, without_chunks
 from conformance.cases.target import Target
 from conformance.fuzz.strategies import mutations, splices
 from refcodec.bitstream import codec, directory, header, reader

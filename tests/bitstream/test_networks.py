@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from random_scenes import random_networks
 from spec_numbers import f32_bits
 
-from conformance.cases.scenes import MAIN_DIMENSIONS, TINY_DIMENSIONS, random_networks
+from conformance.cases.scenes import MAIN_DIMENSIONS, TINY_DIMENSIONS
 from refcodec.bitstream import networks
 from refcodec.bitstream.networks import BoundError, IntLayer, IntNetwork, derive_layer
 

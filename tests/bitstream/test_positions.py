@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from random_scenes import random_scene
 
-from conformance.cases.scenes import MAIN_DIMENSIONS, random_scene, with_steps
+from conformance.cases.scenes import MAIN_DIMENSIONS, with_steps
 from conformance.cases.target import Target
 from conformance.fuzz.strategies import position_models, positions, some_positions
 from refcodec.bitstream import codec

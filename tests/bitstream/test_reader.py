@@ -8,8 +8,9 @@ from dataclasses import replace
 
 import pytest
 from hypothesis import given, settings
+from random_scenes import random_scene
 
-from conformance.cases.scenes import CONSTANT, TINY_DIMENSIONS, random_scene
+from conformance.cases.scenes import CONSTANT, TINY_DIMENSIONS
 from conformance.fuzz.strategies import mutations
 from refcodec.bitstream import codec
 from refcodec.bitstream.directory import DATA

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from random_scenes import random_scene
 from spec_numbers import f32_bits
 
-from conformance.cases.scenes import random_scene
 from conformance.fuzz.strategies import grids, positions, scenes
 from refcodec.bitstream import reconstruction
 from refcodec.bitstream.attributes import ATTRIBUTE_SYMBOL_MAX, KINDS

@@ -10,16 +10,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from numpy.typing import NDArray
+from random_scenes import random_scene
 
-from conformance.cases.scenes import (
-    CONSTANT,
-    MAIN_DIMENSIONS,
-    PLANELESS,
-    TINY_DIMENSIONS,
-    UNENCODED,
-    random_scene,
-    with_steps,
-)
+from conformance.cases.scenes import CONSTANT, MAIN_DIMENSIONS, PLANELESS, TINY_DIMENSIONS, UNENCODED, with_steps
 from conformance.fuzz.strategies import scenes
 from refcodec.bitstream import batches, codec, reconstruction
 from refcodec.bitstream.attributes import ATTRIBUTE_SYMBOL_MAX

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
+from random_scenes import random_scene
 from spec_numbers import f32_bits
 
-from conformance.cases.scenes import random_scene
 from conformance.fuzz.strategies import frames
 from refcodec.bitstream import conventions, planes, positions
 from refcodec.bitstream.context import context, contract, frame_coordinates, positional_encoding, query, rescale

@@ -10,9 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from random_scenes import random_scene
 from spec_numbers import f32_bits
 
-from conformance.cases.scenes import MAIN_DIMENSIONS, random_scene
+from conformance.cases.scenes import MAIN_DIMENSIONS
 from refcodec.bitstream import codec, directory
 from refcodec.bitstream.codec import parse_container
 from refcodec.bitstream.conventions import f32_parts

@@ -13,11 +13,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from random_scenes import random_scene
 
 import refcodec
 from benchmarks.resident import measured
 from conformance.cases.checksums import lengthened
-from conformance.cases.scenes import MAIN_DIMENSIONS, random_scene
+from conformance.cases.scenes import MAIN_DIMENSIONS
 from refcodec.bitstream import codec
 from refcodec.bitstream.attributes import Attributes
 from refcodec.bitstream.bounds import BoundPassedError, Bounds, memory_needed

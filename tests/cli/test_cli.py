@@ -24,10 +24,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from random_scenes import random_scene, without_chunks
 
 import refcodec
 from conformance.cases.checksums import lengthened, repair
-from conformance.cases.scenes import MAIN_DIMENSIONS, random_scene, with_steps, without_chunks
+from conformance.cases.scenes import MAIN_DIMENSIONS, with_steps
 from refcodec.bitstream import codec, directory
 from refcodec.bitstream.codec import parse_container
 from refcodec.bitstream.directory import DATA

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from random_scenes import random_scene
 
-from conformance.cases.scenes import random_scene
 from conformance.cli import main as suite_main
 from conformance.manifest import VECTORS
 from conformance.spec_decoder.__main__ import main as second_main

@@ -21,8 +21,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from random_scenes import random_scene
 
-from conformance.cases.scenes import random_scene
 from conformance.cli import main as suite_cli
 from conformance.manifest import VECTORS
 from refcodec import statuses

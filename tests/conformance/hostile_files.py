@@ -8,17 +8,11 @@ from dataclasses import replace
 
 from hypothesis import assume
 from hypothesis import strategies as st
+from random_scenes import random_scene
 
 from conformance.cases.checksums import repair
 from conformance.cases.fault import Refused
-from conformance.cases.scenes import (
-    CONSTANT,
-    PLANELESS,
-    SMALLEST,
-    TINY_DIMENSIONS,
-    UNENCODED,
-    random_scene,
-)
+from conformance.cases.scenes import CONSTANT, PLANELESS, SMALLEST, TINY_DIMENSIONS, UNENCODED
 from conformance.cases.target import Target
 from conformance.fuzz.strategies import draw_fault, draw_mutation, draw_splice, drawable
 from refcodec.bitstream import codec, directory

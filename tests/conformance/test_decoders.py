@@ -13,9 +13,10 @@ from decoders import NEEDED, Decoders
 from hostile_files import FILES, GREEDY, SCENES, TARGETS, UNDRAWN, changed_fields, changes, cuts, faulty, largest_planes
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from random_scenes import random_scene
 
 from conformance.cases.checksums import repair, resized
-from conformance.cases.scenes import CONSTANT, MAIN_DIMENSIONS, random_scene
+from conformance.cases.scenes import CONSTANT, MAIN_DIMENSIONS
 from conformance.cases.target import Target
 from conformance.fuzz import compare
 from conformance.fuzz.compare import Verdict, first_verdict

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 import pytest
 from c_program import Program
+from random_scenes import random_scene
 
-from conformance.cases.scenes import random_scene
 from conformance.manifest import VECTORS, Accepted, Vector, load
 from conformance.runner import encoders
 from refcodec.bitstream import codec, reconstruction

@@ -11,9 +11,9 @@ from dataclasses import replace
 
 import pytest
 from decoders import Decoders
+from random_scenes import random_scene
 
 from conformance import spec_decoder
-from conformance.cases.scenes import random_scene
 from conformance.cases.target import Target
 from conformance.fuzz.compare import Verdict, first_verdict
 from conformance.manifest import Accepted, Rejected, Vector, load

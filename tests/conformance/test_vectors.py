@@ -15,14 +15,14 @@ import numpy as np
 import pytest
 
 from conformance import cli, spec_decoder
-from conformance.cases import masks, recipes
-from conformance.cases.book import Book, Recipe
+from conformance.cases import attributes, recipes
 from conformance.cases.cameras import expected
 from conformance.cases.fault import Refused
 from conformance.cases.features import FEATURES
 from conformance.cases.flags import FLAGS
 from conformance.cases.numbers import Numbers
 from conformance.cases.suite import GeneratorError, vectors
+from conformance.cases.table import Recipe, valid
 from conformance.manifest import (
     MANIFEST,
     SCHEMA,
@@ -224,15 +224,10 @@ def test_recipes_are_those_of_the_manifest_in_its_order() -> None:
 
 def test_an_identifier_is_permanent(monkeypatch: pytest.MonkeyPatch) -> None:
     """A new case comes last wherever its file is; an identifier that is gone is told."""
-    old = masks.add
-
-    def new(book: Book) -> None:
-        book.valid("new", "a new case", bytes, features="masks")
-        old(book)
-
-    monkeypatch.setattr(masks, "add", new)
+    new = valid("masks", "", "", ("new", "a new case", bytes))
+    monkeypatch.setattr(attributes, "CASES", [*new, *attributes.CASES])
     assert [r.id for r in recipes()] == [*(v.id for v in SUITE.vectors), "valid-new"]
-    monkeypatch.setattr(masks, "add", lambda book: None)
+    monkeypatch.setattr(attributes, "CASES", [])
     with pytest.raises(
         ValueError, match=r"no case has the identifiers .*valid-mask-contexts, valid-mask-model-extreme, "
     ):

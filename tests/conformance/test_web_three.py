@@ -16,9 +16,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from random_scenes import random_scene
 from web_program import MISSING, NODE, ROOT, WEB
 
-from conformance.cases.scenes import MAIN_DIMENSIONS, random_scene
+from conformance.cases.scenes import MAIN_DIMENSIONS
 from refcodec.bitstream import cameras, codec
 from refcodec.bitstream.cameras import NamedCamera
 from refcodec.bitstream.reconstruction import reconstruct

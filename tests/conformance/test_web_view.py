@@ -15,10 +15,11 @@ import pytest
 from hostile_files import FILES, SCENES, UNDRAWN
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from random_scenes import random_scene
 from web_program import MISSING, NODE, PROGRAM, Decoder, running
 
 from conformance.cases import static
-from conformance.cases.scenes import MAIN_DIMENSIONS, random_scene
+from conformance.cases.scenes import MAIN_DIMENSIONS
 from conformance.manifest import VECTORS, GaussiansOf, load
 from conformance.runner.gaussians import difference
 from refcodec import statuses

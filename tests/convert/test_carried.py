@@ -11,7 +11,8 @@ import pytest
 torch = pytest.importorskip("torch")
 pytest.importorskip("scipy")
 
-from conformance.cases.scenes import random_scene  # noqa: E402
+from random_scenes import random_scene  # noqa: E402
+
 from refcodec.bitstream import codec  # noqa: E402
 from refcodec.bitstream.cameras import CAMERAS, NamedCamera, cameras, emit_cameras  # noqa: E402
 from refcodec.bitstream.dimensions import RENDERING  # noqa: E402

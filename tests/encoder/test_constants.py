@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from random_scenes import random_scene
 
-from conformance.cases.scenes import MAIN_SMALLEST, random_scene
+from conformance.cases.scenes import MAIN_SMALLEST
 from refcodec.bitstream.attributes import KINDS
 from refcodec.bitstream.codec import derive_steps, emit, parse
 from refcodec.bitstream.reconstruction import digest

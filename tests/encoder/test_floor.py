@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from random_scenes import random_scene
 
-from conformance.cases.scenes import CONSTANT, random_scene
+from conformance.cases.scenes import CONSTANT
 from refcodec.bitstream.codec import derive_steps, emit, parse
 from refcodec.bitstream.header import Lanes
 from refcodec.bitstream.positions import PACKED, RAW

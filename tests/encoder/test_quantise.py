@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from random_scenes import random_networks
 
-from conformance.cases.scenes import MAIN_DIMENSIONS, TINY_DIMENSIONS, random_networks
+from conformance.cases.scenes import MAIN_DIMENSIONS, TINY_DIMENSIONS
 from refcodec.bitstream import codec
 from refcodec.bitstream.context import contract, frame_coordinates, rescale
 from refcodec.bitstream.frame import (

@@ -12,7 +12,8 @@ import pytest
 for package in ("numba", "PIL", "scipy"):
     pytest.importorskip(package, reason="exporting needs the packages of the extra render")
 
-from conformance.cases.scenes import random_scene  # noqa: E402
+from random_scenes import random_scene  # noqa: E402
+
 from refcodec.bitstream.cameras import (  # noqa: E402
     NamedCamera,
     cameras,

@@ -14,8 +14,8 @@ import pytest
 torch = pytest.importorskip("torch", reason="a folder of Scaffold-GS needs torch")
 
 from plyfile import PlyData  # noqa: E402
+from random_scenes import random_scene  # noqa: E402
 
-from conformance.cases.scenes import random_scene  # noqa: E402
 from refcodec.bitstream import codec  # noqa: E402
 from refcodec.bitstream.cameras import CAMERAS, NamedCamera, cameras, emit_cameras  # noqa: E402
 from refcodec.bitstream.reconstruction import reconstruct  # noqa: E402

@@ -13,8 +13,8 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import pytest
+from random_scenes import random_scene
 
-from conformance.cases.scenes import random_scene
 from refcodec.bitstream import codec
 from refcodec.bitstream.directory import DATA
 from refcodec.bitstream.reader import Reader, decode_chunk

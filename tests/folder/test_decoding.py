@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 import pytest
 from plyfile import PlyData, PlyElement
+from random_scenes import random_scene
 from safetensors.numpy import load_file, save
 
-from conformance.cases.scenes import random_scene
 from refcodec.bitstream import codec, reader, reconstruction
 from refcodec.bitstream.bounds import BoundPassedError, Bounds, memory_needed
 from refcodec.bitstream.errors import BitstreamError

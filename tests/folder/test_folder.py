@@ -12,9 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from plyfile import PlyData, PlyElement
+from random_scenes import random_scene
 from safetensors.numpy import load_file, save_file
 
-from conformance.cases.scenes import MAIN_DIMENSIONS, random_scene, with_steps
+from conformance.cases.scenes import MAIN_DIMENSIONS, with_steps
 from conformance.cases.target import Target
 from refcodec.bitstream import codec
 from refcodec.bitstream.dimensions import Dimensions

@@ -10,9 +10,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from random_scenes import random_scene
 
 from conformance.cases.checksums import repair
-from conformance.cases.scenes import MAIN_DIMENSIONS, TINY_DIMENSIONS, random_scene
+from conformance.cases.scenes import MAIN_DIMENSIONS, TINY_DIMENSIONS
 from refcodec.bitstream import codec, syntax
 from refcodec.bitstream.chunks import read_chunk
 from refcodec.bitstream.codec import parse_container

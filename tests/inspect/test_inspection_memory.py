@@ -7,10 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from random_scenes import random_scene
 
 from benchmarks.resident import measured
 from conformance.cases.checksums import resized
-from conformance.cases.scenes import random_scene
 from conformance.cases.target import Target
 from refcodec.bitstream.codec import emit, parse
 from refcodec.bitstream.directory import INDEX

@@ -13,8 +13,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from random_scenes import random_scene
 
-from conformance.cases.scenes import CONSTANT, MAIN_DIMENSIONS, PLANELESS, TINY_DIMENSIONS, UNENCODED, random_scene
+from conformance.cases.scenes import CONSTANT, MAIN_DIMENSIONS, PLANELESS, TINY_DIMENSIONS, UNENCODED
 from refcodec import statuses
 from refcodec.bitstream.cameras import CAMERAS, NamedCamera, emit_cameras
 from refcodec.bitstream.codec import emit, parse

@@ -19,10 +19,12 @@ import pytest
 from c_compiler import COMPILER, ROOT, Use, build_kernel, sanitizer
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from random_scenes import random_scene
 
 from conformance.cases.checksums import repair
-from conformance.cases.scenes import CONSTANT, MAIN_DIMENSIONS, PLANELESS, UNENCODED, packed_weights, random_scene
+from conformance.cases.scenes import CONSTANT, MAIN_DIMENSIONS, PLANELESS, UNENCODED
 from conformance.cases.target import Target
+from conformance.cases.weights import packed_weights
 from conformance.fuzz.strategies import draw_mutation, draw_splice
 from conformance.manifest import Accepted, Rejected, Vector, load
 from refcodec import statuses

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from random_scenes import random_scene
 
 import refcodec
 from conformance.cases import static
-from conformance.cases.scenes import random_scene
 from conformance.manifest import VECTORS
 from refcodec import statuses
 from refcodec.bitstream.cameras import NamedCamera, rotation_matrix

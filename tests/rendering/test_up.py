@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from random_scenes import random_scene
 from scipy.spatial.transform import Rotation
 
-from conformance.cases.scenes import random_scene
 from refcodec.bitstream.cameras import CAMERAS, cameras, with_cameras
 from refcodec.bitstream.codec import emit, parse
 from refcodec.bitstream.reconstruction import digest

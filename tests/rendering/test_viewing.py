@@ -18,9 +18,9 @@ for package in ("numba", "PIL", "skimage", "scipy"):
     pytest.importorskip(package, reason="looking at scenes needs the packages of the extra render")
 
 from PIL import Image  # noqa: E402
+from random_scenes import random_scene  # noqa: E402
 
 import refcodec  # noqa: E402
-from conformance.cases.scenes import random_scene  # noqa: E402
 from refcodec.bitstream import codec  # noqa: E402
 from refcodec.bitstream.cameras import CAMERAS, NamedCamera, emit_cameras  # noqa: E402
 from refcodec.bitstream.scene import Ancillary  # noqa: E402

@@ -25,16 +25,10 @@ from typing import Any
 import mpmath
 import numpy as np
 import pytest
+from random_scenes import random_scene
 
 from conformance import spec_decoder
-from conformance.cases.scenes import (
-    CONSTANT,
-    MAIN_DIMENSIONS,
-    PLANELESS,
-    TINY_DIMENSIONS,
-    UNENCODED,
-    random_scene,
-)
+from conformance.cases.scenes import CONSTANT, MAIN_DIMENSIONS, PLANELESS, TINY_DIMENSIONS, UNENCODED
 from conformance.manifest import load
 from refcodec import bitstream
 from refcodec.bitstream import ancillary, codec, directory, errors, reconstruction, syntax, tables

@@ -11,8 +11,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from random_scenes import random_scene
 
-from conformance.cases.scenes import PLANELESS, random_scene
+from conformance.cases.scenes import PLANELESS
 from refcodec.bitstream.attributes import Attributes
 from refcodec.bitstream.cameras import CAMERAS, cameras, emit_cameras
 from refcodec.bitstream.codec import emit, parse

@@ -13,7 +13,7 @@ from functools import cache
 import numpy as np
 
 from ...bitstream.conventions import Int64
-from ...bitstream.entropy import SymbolName, placed
+from ...bitstream.entropy import SymbolName, ValueGroup, placed
 from ...bitstream.tables import PRECISION, TOTAL, ModelSet, tables
 from ...pages.plots import F64, Plot, histogram
 
@@ -198,23 +198,15 @@ class Meter:
         self._tallies = iter(tallies)
         self.bits: list[F64] = []
 
-    def values(
-        self,
-        models: ModelSet,
-        mean: Int64,
-        scale: Int64,
-        counts: list[int],
-        limit: int,
-        name: SymbolName,
-        given: Int64 | None,
-    ) -> Int64:
+    def values(self, group: ValueGroup) -> Int64:
         """As Encoder.values."""
+        given = group.given
         assert given is not None
         tally, channel = next(self._tallies)
         if channel is None:
             channels = len(tally.channel_bits)
             channel = np.repeat(np.arange(channels), len(given) // channels)
-        self.bits.append(tally.add(models, mean, scale, given, channel))
+        self.bits.append(tally.add(group.models, group.mean, group.scale, given, channel))
         return given
 
     def plain(self, models: ModelSet, index: Int64, counts: list[int], name: SymbolName, given: Int64 | None) -> Int64:
