@@ -30,6 +30,7 @@ Helper modules:
 A new case takes a row:
 
 1. Choose the table: in CASES of the chapter's module, one with rows of the same kind. table.py has an example of each.
+   A tuple between rows that does not begin with a name has what the rows after it share.
 2. Add the row. Its name is the identifier without the class (`invalid-` and so on), new and permanent. Its title, a
    phrase in lower case, states the contents or the fault. What follows depends on the kind of the table:
    - `refused`: a valid file (targets.py), a fault, and its arguments. The file may be left out if it is `plain`. The

@@ -21,7 +21,7 @@ from .fault import element, padding
 from .numbers import Int64, Numbers
 from .samplers import Sampler, drawn, sampled
 from .scenes import SMALLEST, TINY_DIMENSIONS, f16, frame_of, scene, with_symbols
-from .table import More, refused, valid
+from .table import NAME, More, refused, valid
 from .targets import five_cells, packed, plain
 from .weights import constant, dyadic, networks, set_weights
 
@@ -168,13 +168,11 @@ CASES = [
 
     *valid("carm attributes", "carm-ignored carm-slices stage-order", "D7.9-1 D7.10-1 D7.7-1",
         ("carm", "slices that depend on each other", _carm, "carm", _NONE, 100)),
-    *valid("carm", "", "D7.9-1",
-        ("carm-shifts", "inputs of CARM that are shifted, ties of either sign", _carm, "carm-shifts", _SHIFTS, 600,
-         More("carm-rounding")),
-        ("carm-largest-shift", "the largest carm_shift", _carm, "carm-largest-shift", _NONE + 16, 1 << 20,
+    *valid("carm", "", "D7.9-1", (_carm, NAME),
+        ("carm-shifts", "inputs of CARM that are shifted, ties of either sign", _SHIFTS, 600, More("carm-rounding")),
+        ("carm-largest-shift", "the largest carm_shift", _NONE + 16, 1 << 20,
          More("carm-rounding limit-off-by-one", "R6.8-1")),
-        ("carm-clamp", "inputs of CARM beyond the largest activation", _carm, "carm-clamp", _NONE, 40000,
-         More("activation-clamp"))),
+        ("carm-clamp", "inputs of CARM beyond the largest activation", _NONE, 40000, More("activation-clamp"))),
     *valid("attributes", "channel-order stage-order", "D7.7-1 D7.10-1 D8.5-1",
         ("channel-order", "a mean and a scale of its own for each channel", _channels)),
     *valid("steps", "step-clamp step-kinds", "D7.8-1 D9.2-1 DA-1",

@@ -24,7 +24,7 @@ from .header import INFINITY, LARGEST_F32, NAN, SMALLEST_F32
 from .numbers import Numbers
 from .samplers import Sampler, drawn, sampled
 from .scenes import CONSTANT, PLANELESS, SMALLEST, UNENCODED, scene
-from .table import More, refused, valid
+from .table import NAME, More, refused, valid
 from .target import Target
 from .targets import five_cells, grids, packed, plain, planeless, target_of, unpredicted
 from .weights import ALL, Values, dyadic, networks, packed_weights, set_weights, with_weights
@@ -246,18 +246,14 @@ CASES = [
         for name, base, at, features in (
             ("raw", five_cells, 1, "raw-weights"), ("packed", grids, 0, "packed-weights"),
             ("packed-last-byte", grids, 1, "packed-weights")))),
-    *refused("raw-weights", "float-limits",
-        ("weights-not-a-number-first", "a weight or bias is not a number: first", not_finite, "hyper.0", 0, 0,
-         NOT_A_NUMBER),
-        ("weights-infinite-bias", "a weight or bias is infinite: bias", not_finite, "sarm.0", 1, None, INFINITE),
-        ("weights-signalling-carm", "a weight or bias is signalling: carm", not_finite, "carm.1.0", 0, 0,
-         SIGNALLING[0]),
-        ("weights-not-a-number-last", "a weight or bias is not a number: last", not_finite, "colour.1", 5, None,
-         NOT_A_NUMBER),
-        ("weights-infinite-end", "the last bias of a section of weights is infinite", not_finite, "colour.1", 5, None,
-         MINUS),
-        ("weights-infinite-rendering", "the first weight of a rendering network is infinite", not_finite, "opacity.0",
-         0, 0, INFINITE)),
+    *refused("raw-weights", "float-limits", (not_finite,),
+        ("weights-not-a-number-first", "a weight or bias is not a number: first", "hyper.0", 0, 0, NOT_A_NUMBER),
+        ("weights-infinite-bias", "a weight or bias is infinite: bias", "sarm.0", 1, None, INFINITE),
+        ("weights-signalling-carm", "a weight or bias is signalling: carm", "carm.1.0", 0, 0, SIGNALLING[0]),
+        ("weights-not-a-number-last", "a weight or bias is not a number: last", "colour.1", 5, None, NOT_A_NUMBER),
+        ("weights-infinite-end", "the last bias of a section of weights is infinite", "colour.1", 5, None, MINUS),
+        ("weights-infinite-rendering", "the first weight of a rendering network is infinite", "opacity.0", 0, 0,
+         INFINITE)),
     *refused("packed-weights", "float-limits",
         ("grids-raw-not-a-number", "a raw layer with a number that is none", grids, not_finite, "hyper.0", 0, 0,
          NOT_A_NUMBER)),
@@ -272,16 +268,14 @@ CASES = [
             ("unencoded", "no positional encoding: F_h has four inputs", UNENCODED),
             ("constant", "neither planes nor encoding: F_h is its biases", CONSTANT)))),
 
-    *refused("raw-weights", "accumulator-bound weight-limit",
-        ("weights-bound-weight-1023-5", "a weight that rounds to 1024 at each exponent", large_value, "hyper.1", 3, 1,
-         1023.5),
-        ("weights-bound-weight-below-minus-1023-5", "the f32 below -1023.5 as a weight", large_value, "hyper.1", 2, 0,
-         BELOW),
-        ("weights-bound-weight-minus-1024", "a weight of -1024", large_value, "carm.1.0", 1, 0, -1024.0),
-        ("weights-bound-weight-largest", "the largest f32 as a weight", large_value, "sarm.2", 1, 3, -LARGEST_F32),
-        ("weights-bound-bias-2-24", "a bias of 2^24", large_value, "hyper.0", 1, None, 2.0**24),
-        ("weights-bound-bias-minus-2-24", "a bias of -2^24", large_value, "sarm.1", 0, None, -(2.0**24)),
-        ("weights-bound-bias-largest", "the largest f32 as a bias", large_value, "carm.1.1", 5, None, LARGEST_F32)),
+    *refused("raw-weights", "accumulator-bound weight-limit", (large_value,),
+        ("weights-bound-weight-1023-5", "a weight that rounds to 1024 at each exponent", "hyper.1", 3, 1, 1023.5),
+        ("weights-bound-weight-below-minus-1023-5", "the f32 below -1023.5 as a weight", "hyper.1", 2, 0, BELOW),
+        ("weights-bound-weight-minus-1024", "a weight of -1024", "carm.1.0", 1, 0, -1024.0),
+        ("weights-bound-weight-largest", "the largest f32 as a weight", "sarm.2", 1, 3, -LARGEST_F32),
+        ("weights-bound-bias-2-24", "a bias of 2^24", "hyper.0", 1, None, 2.0**24),
+        ("weights-bound-bias-minus-2-24", "a bias of -2^24", "sarm.1", 0, None, -(2.0**24)),
+        ("weights-bound-bias-largest", "the largest f32 as a bias", "carm.1.1", 5, None, LARGEST_F32)),
     *refused("raw-weights", "accumulator-bound row-order", *(
         (f"weights-bound-no-inputs-{name}", f"a bias of F_h that is too large, where F_h has no inputs: the {name} row",
          unpredicted, large_value, "hyper.0", row, None, bias)
@@ -302,17 +296,16 @@ CASES = [
          _constant_packed, large_bias, "hyper.0", 36)),
     *valid("networks raw-weights", "", "D7.2-1 D7.2-2",
         ("network-ties", "sums of rows that are ties", _ties, More("network-rounding")),
-        ("network-weight-limit", "weights that round to 1023 and to 1024", _with_hyper, "network-weight-limit",
-         *_LIMITS, More("weight-limit")),
-        ("network-weight-ties", "weights and biases halfway between integers", _with_hyper, "network-weight-ties",
+        (_with_hyper, NAME),
+        ("network-weight-limit", "weights that round to 1023 and to 1024", *_LIMITS, More("weight-limit")),
+        ("network-weight-ties", "weights and biases halfway between integers",
          *_each_row(_tied_weights, lambda r: (2 * r - 15) / 2.0 ** (1 + r % 11)), More("weight-rounding")),
-        ("network-accumulator", "rows at the accumulator bound", _with_hyper, "network-accumulator", *_ACCUMULATOR,
+        ("network-accumulator", "rows at the accumulator bound", *_ACCUMULATOR,
          More("accumulator-bound rounding-term")),
-        ("network-exponents", "exponents of rows from 0 to 20, zero rows and subnormal weights", _with_hyper,
-         "network-exponents", *_each_row(_signed, lambda r: 3 - r), ("hyper.1", 3, 0, 0), ("hyper.1", 4, 0, 2.0**-21),
+        ("network-exponents", "exponents of rows from 0 to 20, zero rows and subnormal weights",
+         *_each_row(_signed, lambda r: 3 - r), ("hyper.1", 3, 0, 0), ("hyper.1", 4, 0, 2.0**-21),
          ("hyper.1", 5, 2.0**-149, -(2.0**-149)), More("exponent-limit subnormals")),
-        ("network-saturated", "hidden units below 0 and above 1023", _with_hyper, "network-saturated", *_SATURATED,
-         More("activation-clamp"))),
+        ("network-saturated", "hidden units below 0 and above 1023", *_SATURATED, More("activation-clamp"))),
     # At the exponent 20 this bias is 2^19 - 1, which rounds to 0; at 19 it would be 2^18, which rounds to 1.
     *valid("networks", "exponent-limit", "D7.2-1",
         ("network-largest-exponent", "biases that only the largest exponent rounds down",

@@ -22,7 +22,7 @@ from .fault import Draw, Drawn, Edit, Whole, fault
 from .numbers import Int64, Numbers
 from .samplers import drawn
 from .scenes import MIDDLE, any_model, cuboid, f16, lattice, of_cells, placed, positions, sharp_model
-from .table import More, Recipe, Row, refused, valid
+from .table import NAME, More, Recipe, Row, refused, valid
 from .target import Target
 from .targets import SEEDS, five_cells, packed, target_of
 
@@ -200,10 +200,9 @@ CASES = [
         ("cells-cell-infinite", "a cell that counts to where infinity would be", _largest_index, cell_of_no_number,
          LAST_CODE, More("cell-index half-limits"))),
     # Two units of 2^39 along x are one more than the largest f16.
-    *refused("packed-positions", "cell-ends half-limits",
-        ("cells-cell-overflow", "a cell beyond the largest f16", _coarsest, cell_of_no_number, MIDDLE_CODE | 1 << 3),
-        ("cells-cell-overflow-z", "a cell beyond the largest f16 along z", _coarsest, cell_of_no_number,
-         MIDDLE_CODE | 1 << 5, More("axes-swapped"))),
+    *refused("packed-positions", "cell-ends half-limits", (_coarsest, cell_of_no_number),
+        ("cells-cell-overflow", "a cell beyond the largest f16", MIDDLE_CODE | 1 << 3),
+        ("cells-cell-overflow-z", "a cell beyond the largest f16 along z", MIDDLE_CODE | 1 << 5, More("axes-swapped"))),
 
     # Trees.
     *valid("packed-positions chunks", "tree-order", "D7.12-1",
@@ -234,10 +233,9 @@ CASES = [
          of_cells(cuboid(4, 4, 4) - 2, 20))),
     *_cells("tree-order", "",
         ("cells-one", "a single cell", placed, "cells-one", of_cells(MIDDLE + np.array([[3, -7, 0]]), 20))),
-    *_cells("tree-order axes-swapped", "",
-        ("cells-corners", "one cell in each of the root's children", _in_cells, "cells-corners", _CORNERS, 10),
-        ("cells-siblings", "two cells that part at the last level", _in_cells, "cells-siblings",
-         MIDDLE + np.array([[0, 0, 0], [0, 0, 1]]), 20)),
+    *_cells("tree-order axes-swapped", "", (_in_cells, NAME),
+        ("cells-corners", "one cell in each of the root's children", _CORNERS, 10),
+        ("cells-siblings", "two cells that part at the last level", MIDDLE + np.array([[0, 0, 0], [0, 0, 1]]), 20)),
     *_cells("axes-swapped tree-order", "", *(
         (f"cells-line-{name}", "cells along one axis", _in_cells, "cells-line", np.roll(_LINE, axis, axis=1), 22)
         for axis, name in enumerate("xyz"))),

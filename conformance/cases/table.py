@@ -4,6 +4,9 @@
         ("chunk-count-0", "no chunks, though there are anchors", chunk_count, 0),
         ("chunk-count-1", "a chunk, though there are no anchors", main_file, chunk_count, 1),
         ("chunk-count-12", "more chunks than anchors", chunk_count, lambda t: t.header.anchor_count + 1)),
+    *refused("packed-weights", "truncation", (grids, cut),
+        ("cut-in-table", "the section ends within its table", None, 1),
+        ("cut-in-model", "the section ends within a layer's model", "sarm.1", 5)),
     *valid("header chunks", "last-chunk", "R6.2-8",
         ("chunk-count-least", "as few chunks as anchors need", partial(drawn, "chunk-count", 9, chunk_size=4)),
         ("chunks-of-1", "chunks of one anchor", partial(drawn, "chunks-1", 4, chunk_size=1), More(seconds=60))),
@@ -11,12 +14,13 @@
         ("mask-model-and-chunk-crc", "the mask model, and a CRC-32", (mask_model, 2, 0), (crc, 0, 1))),
 
 Features, flags and requirements are names separated by spaces. What only one row has is its last item, a More. The file
-of a row is `plain` if it names no other. An argument of a fault can be a function of the file.
+of a row is `plain` if it names no other. An argument of a fault can be a function of the file. Items that several rows
+begin with, after their titles, are a tuple before these rows; there, NAME is the name of each row.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
@@ -79,8 +83,10 @@ class More:
     seed: int = 0
 
 
-# The id without its class, the title, what is special to the table, and maybe a More.
+# The id without its class, the title, what is special to the table, and maybe a More. Or what the rows after it share.
 Row = tuple[Any, ...]
+# The name of a row, as an argument that several rows share.
+NAME = object()
 # A fault and its arguments, or a function that changes the bytes of a file with a fault.
 Part = tuple[Any, ...] | Callable[[bytes], bytes]
 
@@ -99,7 +105,7 @@ def valid(features: str, flags: str, requirements: str, *rows: Row, klass: str =
     """Returns valid files. A row: name, title, a function that returns a scene, bytes or a view, its arguments."""
     return [
         _recipe(f"{klass}-{name}", title, partial(_emitted, *_own(rest)), rest[-1], features, flags, requirements)
-        for name, title, *rest in rows
+        for name, title, rest in _complete(rows)
     ]
 
 
@@ -109,7 +115,7 @@ def refused(features: str, flags: str, *rows: Row, requirements: str = "", klass
     klass: the class of the files, if it is not that of their errors.
     """
     made = []
-    for name, title, *rest in rows:
+    for name, title, rest in _complete(rows):
         base, *part = _own(rest) if not isinstance(rest[0], Fault) else (plain, *_own(rest))
         identifier, make = f"{klass or part[0].klass}-{name}", partial(_broken, base, tuple(part))
         made.append(_recipe(identifier, title, make, rest[-1], features, flags, requirements))
@@ -142,6 +148,17 @@ def chain(
         for (name, title, *one), (next_name, next_title, *other) in pairwise(links)
     ]
     return ordered(requirements, *pairs)
+
+
+def _complete(rows: tuple[Row, ...]) -> Iterator[tuple[str, str, list[Any]]]:
+    """Yields the name, the title and the other items of each row, including those that it shares."""
+    shared: Row = ()
+    for row in rows:
+        if isinstance(row[0], str):
+            name, title, *rest = row
+            yield name, title, [name if item is NAME else item for item in (*shared, *rest)]
+        else:
+            shared = row
 
 
 def _own(rest: list[Any]) -> list[Any]:

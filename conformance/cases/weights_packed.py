@@ -26,7 +26,7 @@ from .fault import Draw, Drawn, Fault, Spec, Whole, element, fault
 from .numbers import Int64, Numbers
 from .samplers import Sampler, drawn, sampled
 from .scenes import CONSTANT, SMALLEST, TINY_DIMENSIONS, scene, settled
-from .table import More, refused, valid
+from .table import NAME, More, refused, valid
 from .target import Target
 from .targets import SEEDS, grids, target_of
 from .weights import ALL, Values, dyadic, packed_weights, scales, with_weights
@@ -264,37 +264,29 @@ _SCALED = tuple(
 _PLANES = "and the bytes of the planes make none"
 CASES = [
     # The section's end, and the models of layers.
-    *refused("packed-weights", "truncation lengths-trusted",
-        ("grids-nothing", "a section of weights without a byte", grids, cut, None, 0),
-        ("grids-cut-in-table", "the section ends within its table", grids, cut, None, 1),
-        ("grids-cut-in-padding", "the section ends within the padding of its table", grids, cut, None, 3),
-        ("grids-cut-behind-table", "the section ends behind its table", grids, cut, None, 4),
-        ("grids-cut-in-model", "the section ends within a layer's model", grids, cut, "sarm.1", 5),
-        ("grids-cut-in-reserved", "the section ends within the reserved bytes of a layer's model", grids, cut,
-         "hyper.1", 7),
-        ("grids-cut-in-values", "the section ends within the values of a raw layer", grids, cut, "hyper.0", 9),
-        ("grids-cut-before-model", f"the weights end before a layer's model, {_PLANES}", grids, cut, "sarm.1", 0),
-        ("grids-cut-in-exponent", f"the weights end within the exponent of a layer, {_PLANES}", grids, cut, "sarm.1",
-         2),
-        ("grids-cut-in-last-model", f"the weights end within the model of the last layer, {_PLANES}", grids, cut,
-         "colour.1", 3),
-        ("grids-cut-in-last-values", "the section ends within the values of its last layer, which is raw", _last_raw,
-         cut, "colour.1", 15),
-        ("grids-cut-by-one", "the section ends one byte before the values of its last layer do", _last_raw, cut,
-         "colour.1", 31)),
-    *refused("packed-weights", "limit-off-by-one reserved-unchecked",
-        ("grids-form-2", "form 2", grids, model_field, "hyper.1", "form", 2),
-        ("grids-exponent-150", "exponent 150", grids, model_field, "sarm.0", "exponent", 150),
-        ("grids-exponent-minus-105", "exponent -105", grids, model_field, "sarm.0", "exponent", -105),
-        ("grids-raw-exponent", "a raw layer with an exponent", grids, model_field, "hyper.0", "exponent", 1),
-        ("grids-raw-exponent-below", "a raw layer with an exponent of -1", grids, model_field, "hyper.0", "exponent",
-         -1),
-        ("grids-raw-exponent-scale", "a raw layer with a scale of exponents", grids, model_field, "hyper.0",
-         "exponent_scale", 1),
-        ("grids-raw-weight-scale", "a raw layer with a scale of weights", grids, model_field, "hyper.0", "weight_scale",
-         1),
-        ("grids-raw-bias-scale", "a raw layer with a scale of biases", grids, model_field, "hyper.0", "bias_scale",
-         255)),
+    *refused("packed-weights", "truncation lengths-trusted", (grids, cut),
+        ("grids-nothing", "a section of weights without a byte", None, 0),
+        ("grids-cut-in-table", "the section ends within its table", None, 1),
+        ("grids-cut-in-padding", "the section ends within the padding of its table", None, 3),
+        ("grids-cut-behind-table", "the section ends behind its table", None, 4),
+        ("grids-cut-in-model", "the section ends within a layer's model", "sarm.1", 5),
+        ("grids-cut-in-reserved", "the section ends within the reserved bytes of a layer's model", "hyper.1", 7),
+        ("grids-cut-in-values", "the section ends within the values of a raw layer", "hyper.0", 9),
+        ("grids-cut-before-model", f"the weights end before a layer's model, {_PLANES}", "sarm.1", 0),
+        ("grids-cut-in-exponent", f"the weights end within the exponent of a layer, {_PLANES}", "sarm.1", 2),
+        ("grids-cut-in-last-model", f"the weights end within the model of the last layer, {_PLANES}", "colour.1", 3),
+        (_last_raw, cut, "colour.1"),
+        ("grids-cut-in-last-values", "the section ends within the values of its last layer, which is raw", 15),
+        ("grids-cut-by-one", "the section ends one byte before the values of its last layer do", 31)),
+    *refused("packed-weights", "limit-off-by-one reserved-unchecked", (grids, model_field),
+        ("grids-form-2", "form 2", "hyper.1", "form", 2),
+        ("grids-exponent-150", "exponent 150", "sarm.0", "exponent", 150),
+        ("grids-exponent-minus-105", "exponent -105", "sarm.0", "exponent", -105),
+        ("grids-raw-exponent", "a raw layer with an exponent", "hyper.0", "exponent", 1),
+        ("grids-raw-exponent-below", "a raw layer with an exponent of -1", "hyper.0", "exponent", -1),
+        ("grids-raw-exponent-scale", "a raw layer with a scale of exponents", "hyper.0", "exponent_scale", 1),
+        ("grids-raw-weight-scale", "a raw layer with a scale of weights", "hyper.0", "weight_scale", 1),
+        ("grids-raw-bias-scale", "a raw layer with a scale of biases", "hyper.0", "bias_scale", 255)),
     *refused("packed-weights", "reserved-unchecked", *(
         (f"grids-reserved-{name}", f"a reserved byte of a layer's model that is not zero: {name}", grids, reserved,
          layer, item, 1)
@@ -317,11 +309,10 @@ CASES = [
         ("grids-exponent-zero-layer-exponent", "a layer of zeros with an exponent", grids, layer_of_zeros, "sarm.1", 7),
         ("grids-exponent-zero-row-first", "a difference in the first row, which is all zero", grids, row_of_zeros,
          "hyper.1", 0, 2)),
-    *refused("packed-weights", "grid-exponent",
-        ("exponent-even-first", "a first row whose integers are all even, odd ones behind it", grids, even_integers,
-         "hyper.1", 1),
-        ("grids-exponent-even-least", f"rows of the exponent {WEIGHT_EXPONENT_MIN}, whose integers are all even", grids,
-         even_integers, "opacity.0", None, WEIGHT_EXPONENT_MIN, More("limit-off-by-one")), requirements="D7.13-1"),
+    *refused("packed-weights", "grid-exponent", (grids, even_integers),
+        ("exponent-even-first", "a first row whose integers are all even, odd ones behind it", "hyper.1", 1),
+        ("grids-exponent-even-least", f"rows of the exponent {WEIGHT_EXPONENT_MIN}, whose integers are all even",
+         "opacity.0", None, WEIGHT_EXPONENT_MIN, More("limit-off-by-one")), requirements="D7.13-1"),
 
     # Valid files.
     *valid("packed-weights", "", "D7.13-1",
@@ -353,11 +344,10 @@ CASES = [
          More("lane-order idle-lanes", "D8.3-1"))),
 
     # Raw because no grid contains the values.
-    *valid("packed-weights", "raw-layer", "D7.13-1 R6.8-7 R6.8-3",
-        ("grids-raw-layers", "layers that are raw: -0, integers and exponents beyond the limits", _regular,
-         "grids-raw-layers", *_BEYOND),
-        ("grids-raw-all", "every layer raw, and a substream of no symbols", _regular, "grids-raw-all",
-         ("*", 0, None, -0.0), More("empty-substream"))),
+    *valid("packed-weights", "raw-layer", "D7.13-1 R6.8-7 R6.8-3", (_regular, NAME),
+        ("grids-raw-layers", "layers that are raw: -0, integers and exponents beyond the limits", *_BEYOND),
+        ("grids-raw-all", "every layer raw, and a substream of no symbols", ("*", 0, None, -0.0),
+         More("empty-substream"))),
     *valid("packed-weights", "raw-layer grid-exponent", "R6.8-7 R6.8-3 D7.13-1",
         ("grids-last-bias", "a layer that is raw because of its last bias alone", lambda: packed_weights(
              _small("planted-last-bias", ("opacity.0", ALL, 1, 1), ("opacity.0", 2, None, 2.0**-24), render_width=3)))),
@@ -366,14 +356,13 @@ CASES = [
              settled(_small("outside-least", *_SUBNORMAL))))),
 
     # Raw by choice.
-    *valid("packed-weights", "raw-layer", "D7.13-1 R6.8-7 R6.8-5",
-        ("grids-raw-by-choice", "every second layer raw, all of which could be packed", _chosen, "grids-raw-by-choice",
-         lambda n: np.arange(n) % 2, More("canonical-form")),
+    *valid("packed-weights", "raw-layer", "D7.13-1 R6.8-7 R6.8-5", (_chosen, NAME),
+        ("grids-raw-by-choice", "every second layer raw, all of which could be packed", lambda n: np.arange(n) % 2,
+         More("canonical-form")),
         ("grids-raw-all-by-choice",
-         "every layer raw, none of which has to be: as in mode 0, but for the models and the substream", _chosen,
-         "grids-raw-all-by-choice", np.zeros, More("empty-substream canonical-form")),
-        ("grids-packed-one", "the last layer packed, all others raw", _chosen, "grids-packed-one",
-         lambda n: np.arange(n) == n - 1)),
+         "every layer raw, none of which has to be: as in mode 0, but for the models and the substream", np.zeros,
+         More("empty-substream canonical-form")),
+        ("grids-packed-one", "the last layer packed, all others raw", lambda n: np.arange(n) == n - 1)),
     *valid("packed-weights", "raw-layer", "D7.13-1",
         ("grids-raw-of-zeros", "raw layers of zeros, and packed ones", lambda: _some_raw(
              settled(with_weights(scene("grids-raw-of-zeros", 2, SMALLEST), *_NOTHING)), "opacity.0", "colour.1"),
