@@ -1,1 +1,1 @@
-"""The manual: pages by job, SPEC.md by chapters, and the command that builds a site of them with Sphinx."""
+"""The manual: pages by job, and the command that builds a site of them with Sphinx, with SPEC.md on one page."""

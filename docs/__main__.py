@@ -12,10 +12,11 @@ import sys
 import tempfile
 from pathlib import Path
 
+from refcodec import __version__
 from refcodec.statuses import USAGE
 
-from . import whole
-from .stage import MANUAL, stage
+from . import document
+from .stage import MANUAL, ROOT, SPEC_PAGE, stage
 
 
 def main() -> int:
@@ -39,7 +40,7 @@ def build(output: Path) -> int:
         command = [sys.executable, "-m", "sphinx", "-b", "html", *options, str(source), str(output)]
         status = subprocess.run(command, check=False).returncode
     if status == 0:
-        whole.join(output / "spec")
+        (output / SPEC_PAGE).write_text(document.page({"Program": f"refcodec {__version__}"}, ROOT), encoding="utf-8")
     return status
 
 

@@ -1,18 +1,12 @@
 """Sphinx for the manual. `python -m docs` puts the pages together, and runs Sphinx on them with this file."""
 
-import sys
-from pathlib import Path
-
 from refcodec import __version__
-
-# `docs.anchors` is found wherever Sphinx is started.
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 project = "C3GS"
 author = "The C3GS maintainers"
 copyright = author
 release = version = __version__
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "docs.anchors", "docs.reach"]
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 html_theme = "furo"
 html_title = "C3GS"
 html_copy_source = False

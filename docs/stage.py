@@ -1,4 +1,4 @@
-"""The pages of the site, put together in a folder from which Sphinx builds: the manual, SPEC.md, and other pages.
+"""The pages of the site, put together in a folder from which Sphinx builds: the manual, and other pages.
 
 In the repository, links between Markdown files are paths, which code hosts follow. Here each becomes a link to the page
 that is made of the file, or to a copy of the file.
@@ -11,10 +11,12 @@ import re
 import shutil
 from pathlib import Path
 
-from . import chapters, commands, vectors, whole
+from . import commands, document
 
 ROOT = Path(__file__).resolve().parents[1]
 MANUAL = ROOT / "docs"
+# SPEC.md, beside the pages.
+SPEC_PAGE = "spec.html"
 # Other files of the repository that are pages of the site, and the names of these.
 PAGES = {
     "conformance/README.md": "more/conformance",
@@ -32,7 +34,7 @@ PAGES = {
 _CONTENTS = """
 ```{{toctree}}
 :hidden:
-:maxdepth: {depth}
+:maxdepth: 1
 :caption: {caption}
 
 {pages}
@@ -44,7 +46,7 @@ _COMMANDS = "<!-- commands -->\n"
 ORDER = (
     ("First steps", ("first-steps", "look-inside", "commands", "python", "python-names")),
     ("By job", ("photographs", "method", "models", "page", "programs", "comparison", "decoder", "certify", "extend")),
-    ("Specification", ("specification", "spec/index")),
+    ("Specification", ("specification",)),
     ("More", tuple(PAGES.values())),
 )
 # Languages of code blocks that the highlighter does not know, or reads more strictly than they are meant.
@@ -61,17 +63,10 @@ def stage(folder: Path) -> None:
         _write(folder, path.stem, text + _contents() if path.stem == "index" else text, path)
     for name, page in PAGES.items():
         _write(folder, page, (ROOT / name).read_text(encoding="utf-8"), ROOT / name)
-    pages = "\n".join([*(chapter.name for chapter in chapters.chapters()), f"One page <{whole.NAME}>", "vectors"])
-    contents = _CONTENTS.format(depth=2, caption="Chapters", pages=pages)
-    _write(folder, "spec/index", chapters.introduction() + contents, ROOT / "SPEC.md")
-    for chapter in chapters.chapters():
-        _write(folder, f"spec/{chapter.name}", chapter.text, ROOT / "SPEC.md")
-    _write(folder, f"spec/{whole.NAME}", chapters.introduction() + whole.TEXT, ROOT / "SPEC.md")
-    _write(folder, "spec/vectors", vectors.page(), MANUAL / "specification.md")
 
 
 def _contents() -> str:
-    return "".join(_CONTENTS.format(depth=1, caption=caption, pages="\n".join(pages)) for caption, pages in ORDER)
+    return "".join(_CONTENTS.format(caption=caption, pages="\n".join(pages)) for caption, pages in ORDER)
 
 
 def _write(folder: Path, page: str, text: str, source: Path) -> None:
@@ -80,13 +75,19 @@ def _write(folder: Path, page: str, text: str, source: Path) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
 
     def relinked(link: re.Match[str]) -> str:
-        target = _target(link[2], source, folder)
-        if target is None:
-            # A folder has no page. Its name stays.
-            return link[1][1:-1]
-        return f"{link[1]}({target if isinstance(target, str) else _relative(*target, path.parent)})"
+        place, _, anchor = link[2].partition("#")
+        if "://" in link[2] or link[2].startswith("mailto:") or not place:
+            return link[0]
+        target = Path(os.path.normpath(source.parent / place))
+        if target == ROOT / "SPEC.md":
+            # Sphinx knows only pages of its own.
+            home = _relative(folder / SPEC_PAGE, document.permanent().get(anchor, anchor), path.parent)
+            return f'<a href="{home}">{link[1][1:-1]}</a>'
+        # A folder has no page. Its name stays.
+        found = None if target.is_dir() else _target(target, anchor, folder)
+        return f"{link[1]}({_relative(*found, path.parent)})" if found else link[1][1:-1]
 
-    text = chapters.outside_code(_PLAIN.sub(r"\1text", text), lambda words: _LINK.sub(relinked, words))
+    text = document.outside_code(_PLAIN.sub(r"\1text", text), lambda words: _LINK.sub(relinked, words))
     path.write_text(text, encoding="utf-8")
 
 
@@ -94,16 +95,8 @@ def _relative(target: Path, anchor: str, folder: Path) -> str:
     return Path(os.path.relpath(target, folder)).as_posix() + (f"#{anchor}" if anchor else "")
 
 
-def _target(link: str, source: Path, folder: Path) -> str | tuple[Path, str] | None:
-    """Returns what a link of a file leads to: itself, a file of the site with an anchor, or None for a folder."""
-    place, _, anchor = link.partition("#")
-    own = source == ROOT / "SPEC.md"
-    if "://" in link or link.startswith("mailto:") or (not place and not (own and chapters.page_of(anchor))):
-        return link
-    path = Path(os.path.normpath(source.parent / place)) if place else source
-    if path == ROOT / "SPEC.md":
-        page = chapters.page_of(anchor)
-        return folder / "spec" / (f"{page}.md" if page else "index.md"), anchor if page else ""
+def _target(path: Path, anchor: str, folder: Path) -> tuple[Path, str]:
+    """Returns the file of the site that a file of the repository becomes, and the anchor in it."""
     if path == ROOT / "README.md":
         return folder / "index.md", ""
     if path.parent == MANUAL and path.suffix == ".md":
@@ -113,8 +106,6 @@ def _target(link: str, source: Path, folder: Path) -> str | tuple[Path, str] | N
         return folder / f"{PAGES[name]}.md", anchor
     if path.is_relative_to(MANUAL / "pictures"):
         return folder / path.relative_to(MANUAL), ""
-    if path.is_dir():
-        return None
     # What is no page is a file to download. Sphinx would make a page of Markdown.
     copy = folder / "files" / (f"{name}.txt" if path.suffix == ".md" else name)
     copy.parent.mkdir(parents=True, exist_ok=True)

@@ -20,7 +20,7 @@ from pathlib import Path
 from refcodec.files.terminal import note, say
 from refcodec.statuses import DONE, REJECTED, USAGE, UsageError
 
-from . import compiler, document, packages, source, statements, trials, wheels
+from . import compiler, packages, source, trials, wheels
 
 Step = Callable[[source.Source, Path], list[Path]]
 
@@ -35,12 +35,10 @@ def steps() -> dict[str, Step]:
         "vectors": packages.vectors,
         **{f"decoder for Linux {name}": partial(packages.decoder, processor=name) for name in compiler.STATIC},
         "descriptions": packages.copies,
-        "container file": packages.container,
-        "specification": document.page,
-        "notes": statements.notes,
+        "specification": packages.specification,
+        "notes": packages.notes,
         # Over all that is made before.
-        "statement": statements.statement,
-        "sums": statements.sums,
+        "sums": packages.sums,
     }
 
 

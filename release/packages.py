@@ -1,17 +1,21 @@
-"""Artefacts for people without Python wheels: the source, the module for browsers, the vectors, a decoder in C."""
+"""Artefacts beside the wheels: source, module for browsers, vectors, decoder in C, specification, notes, sums."""
 
 from __future__ import annotations
 
 import hashlib
 import json
+import re
+import time
 from fnmatch import fnmatchcase
 from pathlib import Path
 
+from docs import document
 from refcodec.statuses import UsageError
 
 from . import archives, audit, compiler, notices, wheels
 from .source import Source
 
+SUMS = "SHA256SUMS"
 _DECODER = """\
 A decoder of C3GS for Linux {processor}, as one static program. It is conformance/c/decoder.c of C3GS {version}.
 
@@ -36,7 +40,6 @@ def npm(source: Source, folder: Path) -> list[Path]:
 
     It has the files that `npm pack` takes, and the licences, which npm seeks in the package's folder.
     """
-    compiler.check(source)
     compiler.webassembly(source)
     web = source.folder / "refcodec" / "web"
     package = json.loads((web / "package.json").read_bytes())
@@ -66,11 +69,9 @@ def vectors(source: Source, folder: Path) -> list[Path]:
 
 def decoder(source: Source, folder: Path, processor: str) -> list[Path]:
     """Writes the archive with the static decoder for Linux. processor: of compiler.STATIC. Returns its path."""
-    compiler.check(source)
     program = compiler.static_decoder(source, processor)
-    found = audit.facts(program)
-    if found.libraries:
-        raise UsageError(f"the static decoder for {processor} needs {', '.join(found.libraries)}")
+    if libraries := audit.facts(program).libraries:
+        raise UsageError(f"the static decoder for {processor} needs {', '.join(libraries)}")
     prefix = f"c3gs-decoder-{source.version}-linux-{processor}/"
     files = {
         "c3gs-decoder": program,
@@ -96,9 +97,37 @@ def copies(source: Source, folder: Path) -> list[Path]:
     return made
 
 
-def container(source: Source, folder: Path) -> list[Path]:
-    """Writes the container file of the suite's runner, which takes the wheels beside it. Returns its path."""
-    text = (source.folder / "release" / "Containerfile").read_text(encoding="utf-8")
-    path = folder / "Containerfile"
-    path.write_text(text.replace("{version}", source.version), encoding="utf-8")
+def specification(source: Source, folder: Path) -> list[Path]:
+    """Writes SPEC.md as one HTML file. Returns its path."""
+    path = folder / f"c3gs-spec-{source.version}.html"
+    manifest = sha256(source.folder / "vectors" / "manifest.json")
+    date = time.strftime("%Y-%m-%d", time.gmtime(source.epoch))
+    about = {"Version": source.version, "Date": date, "Commit": source.commit}
+    about[f"Vectors {source.suite}"] = f"manifest.json, SHA-256 {manifest}"
+    path.write_text(document.page(about, source.folder), encoding="utf-8")
     return [path]
+
+
+def notes(source: Source, folder: Path) -> list[Path]:
+    """Writes the release notes: the first section of CHANGELOG.md. Returns their path."""
+    text = (source.folder / "CHANGELOG.md").read_text(encoding="utf-8")
+    first = re.split(r"^## ", text, flags=re.MULTILINE)[1]
+    title, _, body = first.partition("\n")
+    name = source.version if title.strip() == "Unreleased" else title.strip()
+    path = folder / f"c3gs-{source.version}-notes.md"
+    path.write_text(f"# C3GS {name}\n{body.rstrip()}\n", encoding="utf-8")
+    return [path]
+
+
+def sums(source: Source, folder: Path) -> list[Path]:
+    """Writes SHA256SUMS over all artefacts of a folder, which are made before. Returns its path."""
+    path = folder / SUMS
+    path.write_text(
+        "".join(f"{sha256(p)}  {p.name}\n" for p in sorted(folder.iterdir()) if p != path), encoding="utf-8"
+    )
+    return [path]
+
+
+def sha256(path: Path) -> str:
+    """Returns the SHA-256 of a file in hexadecimal."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()

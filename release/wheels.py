@@ -19,7 +19,7 @@ from pathlib import Path
 
 from refcodec.statuses import UsageError
 
-from . import archives, audit, compiler, notices, statements
+from . import archives, audit, compiler, notices
 from .source import Source
 
 NAME, SUITE = "refcodec", "refcodec_conformance"
@@ -118,7 +118,7 @@ def _entry(name: str, place: str) -> bytes:
 
 
 def _write(source: Source, folder: Path, name: str, tag: str, files: dict[str, bytes]) -> Path:
-    """Writes a wheel with its bill of materials, licences and record. Returns its path."""
+    """Writes a wheel with its licences and record. Returns its path."""
     info = f"{name}-{source.version}.dist-info/"
     parts, metadata = notices.parts(name, tag), files[f"{info}METADATA"].decode()
     if parts:
@@ -129,7 +129,6 @@ def _write(source: Source, folder: Path, name: str, tag: str, files: dict[str, b
     tags = "".join(f"Tag: py3-none-{one}\n" for one in tag.split("."))
     files[f"{info}WHEEL"] = f"{wheel}\nRoot-Is-Purelib: {str(tag == ANY).lower()}\n{tags}".encode()
     files[f"{info}METADATA"] = metadata.encode()
-    files[f"{info}sboms/{name}.cdx.json"] = statements.bill(source, metadata, tag, parts)
     record = f"{info}RECORD"
     files.pop(record, None)
     # The metadata are the last files of a wheel (binary distribution format).

@@ -4,7 +4,6 @@ python -m spec            writes the files that are not current
 python -m spec --check    names stale files and wrong citations of SPEC.md, and exits with 1 if there are any
 python -m spec --vectors  prints the vectors of each requirement, error code, feature and flag
 python -m spec --coverage prints which lines, conditions and extremes no vector reaches, in a minute
-python -m spec --coverage --write also writes build/coverage.json, the vectors of each line, which the manual shows
 python -m spec --proofs   proves the bounds of 7.11 and the entropy coder for all inputs with z3, in a minute
 """
 
@@ -41,14 +40,14 @@ MAKERS: tuple[Callable[[], Iterator[Made]], ...] = (
 
 def main(arguments: list[str]) -> int:
     """Runs the command and returns its exit status. arguments: those after `python -m spec`."""
-    if arguments not in ([], ["--check"], ["--vectors"], ["--coverage"], ["--coverage", "--write"], ["--proofs"]):
+    if arguments not in ([], ["--check"], ["--vectors"], ["--coverage"], ["--proofs"]):
         print(__doc__, file=sys.stderr)
         return 64
     if arguments == ["--vectors"]:
         print("\n".join(matrix.vector_lists(load())))
         return 0
-    if arguments[:1] == ["--coverage"]:
-        return coverage.main(write="--write" in arguments)
+    if arguments == ["--coverage"]:
+        return coverage.main()
     if arguments == ["--proofs"]:
         return proofs.main()
     stale = False

@@ -11,8 +11,6 @@ from __future__ import annotations
 
 import ast
 import copy
-import hashlib
-import json
 import os
 import re
 from collections.abc import Iterator
@@ -25,12 +23,11 @@ from tqdm import tqdm
 
 from conformance import spec_decoder
 from conformance.cases.cameras import expected
-from conformance.manifest import MANIFEST, VECTORS, GaussiansOf, Manifest, Vector, load
+from conformance.manifest import VECTORS, GaussiansOf, Manifest, Vector, load
 from conformance.spec_decoder import Names, blocks
 
 from . import elements
 from .decoder import SPEC, TARGET
-from .made import ROOT
 
 LINE, TRUE, FALSE = "is not run", "is never true", "is never false"
 AT, BEYOND = "never just holds", "never just fails"
@@ -40,8 +37,6 @@ KINDS = {
     "bounds of comparisons": {AT, BEYOND},
 }
 ANY_FILE = "any file"
-# The record of the lines, and how many vectors it names for each.
-RECORD, SHOWN = ROOT / "build" / "coverage.json", 10
 # Functions of images, which no vector has: tests/rendering compares the renderer with them.
 IMAGES = {"ROTATION", "PRODUCT", "PROJECT", "PIXEL"}
 # Functions that compare real numbers, which have no next number.
@@ -354,38 +349,10 @@ def extremes_of(text: str, extremes: dict[str, tuple[int, int]]) -> tuple[list[s
     return [head, *lines], unreached
 
 
-def versions() -> dict[str, str]:
-    """Returns the SHA-256 of the blocks and of the manifest: a record of other ones is not current."""
-    files = {"blocks": TARGET, "manifest": VECTORS / MANIFEST}
-    return {name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in files.items()}
-
-
-def record(sites: list[Site], found: list[list[str]], manifest: Manifest) -> str:
-    """Returns the record of the lines, which the manual shows, as JSON.
-
-    "lines" has, by the lines of blocks.py, the number of vectors that reach a line followed by the places of the
-    smallest ones in the manifest, or the reason why none does. found: as of_vectors returns it.
-    """
-    size = {vector.id: (vector.input.size, place) for place, vector in enumerate(manifest.vectors)}
-    lines = {}
-    for site, names in zip(sites, found, strict=True):
-        if site.kind == LINE:
-            reaching = sorted(set(names) - {ANY_FILE}, key=size.__getitem__)
-            count = len(size) if ANY_FILE in names else len(reaching)
-            lines[site.line] = (
-                [count, *(size[name][1] for name in reaching[:SHOWN])] if count else site.argued() or "open"
-            )
-    rows = ",\n".join(f'  "{line}": {json.dumps(entry)}' for line, entry in sorted(lines.items()))
-    return f'{json.dumps(versions(), indent=1)[:-2]},\n "lines": {{\n{rows}\n }}\n}}\n'
-
-
-def main(jobs: int | None = None, write: bool = False) -> int:
-    """Prints the report. Returns 1 if there is a hole, else 0. write: whether to write the record of the lines."""
+def main(jobs: int | None = None) -> int:
+    """Prints the report. Returns 1 if there is a hole, else 0."""
     manifest, text = load(), SPEC.read_text(encoding="utf-8")
     found, extremes = of_vectors(manifest, jobs or os.cpu_count() or 1)
     reports = report(_probed().sites, found), extremes_of(text, extremes), elements.report(text, manifest)
     print("\n".join(line for lines, _ in reports for line in lines))
-    if write:
-        RECORD.parent.mkdir(exist_ok=True)
-        RECORD.write_text(record(_probed().sites, found, manifest), encoding="utf-8")
     return 1 if any(holes for _, holes in reports) else 0

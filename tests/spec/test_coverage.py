@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -93,17 +92,6 @@ def test_a_comparison_at_its_bound() -> None:
         with contextlib.suppress(own.names["Refused"]):
             check([0] * 8 + [0, 0, 1, 0, 0], 0, length, 1)
         assert list(own.seen[at : at + 2]) == seen
-
-
-def test_the_record_of_lines() -> None:
-    """Each line of a statement has its vectors, or a reason."""
-    sites = probed().sites
-    found = [["valid-worked-example", ANY_FILE] if site.function == "U" else [] for site in sites]
-    lines = json.loads(coverage.record(sites, found, SUITE))["lines"]
-    own = next(site.line for site in sites if site.function == "U")
-    assert lines[str(own)] == [len(SUITE.vectors), SUITE.vectors.index(EXAMPLE)]
-    assert "images: tests/rendering" in lines.values()
-    assert set(lines) == {str(site.line) for site in sites if site.kind == LINE}
 
 
 def _with_value(path: str, change: int) -> bytes:
