@@ -33,10 +33,7 @@ def steps() -> dict[str, Step]:
         **{f"wheel for {target.name}": partial(wheels.native, target=target) for target in compiler.TARGETS},
         "module for browsers": packages.npm,
         "vectors": packages.vectors,
-        **{f"decoder for Linux {name}": partial(packages.decoder, processor=name) for name in compiler.STATIC},
-        "descriptions": packages.copies,
         "specification": packages.specification,
-        "notes": packages.notes,
         # Over all that is made before.
         "sums": packages.sums,
     }

@@ -35,8 +35,6 @@ TARGETS = (
     Target("macOS x86_64", "x86_64-macos.10.13", "macosx_10_13_x86_64"),
     Target("Windows x86_64", "x86_64-windows-gnu", "win_amd64"),
 )
-# The decoder in C as a static program: the name of the processor, and the compiler's name of the system.
-STATIC = {"x86_64": "x86_64-linux-musl", "aarch64": "aarch64-linux-musl"}
 
 
 def check(source: Source) -> None:
@@ -68,12 +66,6 @@ def kernel(source: Source, target: Target) -> bytes:
     # A library of Windows needs no position-independent code, and Zig ignores the flag there.
     flags = ["-target", target.zig, "-shared", "-fPIC", "-s", *json.loads(told.stdout.splitlines()[-1])]
     return _compile(source, "kernel.so", flags)
-
-
-def static_decoder(source: Source, processor: str) -> bytes:
-    """Returns the decoder in C as a static program for Linux. processor: of STATIC. Raises UsageError."""
-    flags = ["-target", STATIC[processor], "-static", "-std=c11", "-O2", "-g0", "-s", "conformance/c/decoder.c"]
-    return _compile(source, "c3gs-decoder", flags)
 
 
 def webassembly(source: Source) -> bytes:

@@ -25,7 +25,6 @@ class Part:
 # The compiler's own support functions, such as memcpy and divisions of 128 bits.
 RUNTIME = Part("zig compiler-rt", "MIT", ("LICENSE",))
 WASI = Part("wasi-libc", "MIT", ("lib/libc/wasi/LICENSE-MIT", "lib/libc/wasi/libc-top-half/musl/COPYRIGHT"))
-MUSL = Part("musl", "MIT", ("lib/libc/musl/COPYRIGHT",))
 MINGW = Part("mingw-w64", "LicenseRef-MinGW-w64", ("lib/libc/mingw/COPYING",))
 FILE = "THIRD-PARTY.txt"
 

@@ -1,10 +1,9 @@
-"""Artefacts beside the wheels: source, module for browsers, vectors, decoder in C, specification, notes, sums."""
+"""Artefacts beside the wheels: source, module for browsers, vectors, specification, sums."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-import re
 import time
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -12,20 +11,10 @@ from pathlib import Path
 from docs import document
 from refcodec.statuses import UsageError
 
-from . import archives, audit, compiler, notices, wheels
+from . import archives, compiler, notices, wheels
 from .source import Source
 
 SUMS = "SHA256SUMS"
-_DECODER = """\
-A decoder of C3GS for Linux {processor}, as one static program. It is conformance/c/decoder.c of C3GS {version}.
-
-  ./c3gs-decoder digest FILE          prints the digests of the canonical reconstruction (SPEC.md 9.3)
-  ./c3gs-decoder decode FILE OUTPUT   writes the values that the digests are of
-
-Both check the whole file. The exit status is 0 for an accepted file, 1 for a malformed or invalid one, 2 for one that
-is not supported, and 64 for wrong usage. With 1 or 2, the last line on stderr states code, name and offset of the error
-(SPEC.md 10.3). tables-0.bin must lie beside the program.
-"""
 
 
 def sdist(source: Source, folder: Path) -> list[Path]:
@@ -67,36 +56,6 @@ def vectors(source: Source, folder: Path) -> list[Path]:
     return [path]
 
 
-def decoder(source: Source, folder: Path, processor: str) -> list[Path]:
-    """Writes the archive with the static decoder for Linux. processor: of compiler.STATIC. Returns its path."""
-    program = compiler.static_decoder(source, processor)
-    if libraries := audit.facts(program).libraries:
-        raise UsageError(f"the static decoder for {processor} needs {', '.join(libraries)}")
-    prefix = f"c3gs-decoder-{source.version}-linux-{processor}/"
-    files = {
-        "c3gs-decoder": program,
-        "tables-0.bin": (source.folder / "refcodec" / "data" / "tables-0.bin").read_bytes(),
-        "README.txt": _DECODER.format(processor=processor, version=source.version).encode(),
-        "LICENSE": (source.folder / "LICENSE").read_bytes(),
-        notices.FILE: notices.text(notices.MUSL, notices.RUNTIME),
-    }
-    path = folder / f"{prefix.rstrip('/')}.tar.gz"
-    packed = {prefix + name: content for name, content in files.items()}
-    path.write_bytes(archives.tar_gz(packed, source.epoch, frozenset({f"{prefix}c3gs-decoder"})))
-    return [path]
-
-
-def copies(source: Source, folder: Path) -> list[Path]:
-    """Writes the files of the repository that are artefacts as they are. Returns their paths."""
-    made = []
-    for name in ("spec/c3gs.ksy", "spec/c3gs.magic", "CITATION.cff", ".zenodo.json"):
-        # A name that begins with a point is not shown.
-        path = folder / name.rpartition("/")[2].lstrip(".")
-        path.write_bytes((source.folder / name).read_bytes())
-        made.append(path)
-    return made
-
-
 def specification(source: Source, folder: Path) -> list[Path]:
     """Writes SPEC.md as one HTML file. Returns its path."""
     path = folder / f"c3gs-spec-{source.version}.html"
@@ -105,17 +64,6 @@ def specification(source: Source, folder: Path) -> list[Path]:
     about = {"Version": source.version, "Date": date, "Commit": source.commit}
     about[f"Vectors {source.suite}"] = f"manifest.json, SHA-256 {manifest}"
     path.write_text(document.page(about, source.folder), encoding="utf-8")
-    return [path]
-
-
-def notes(source: Source, folder: Path) -> list[Path]:
-    """Writes the release notes: the first section of CHANGELOG.md. Returns their path."""
-    text = (source.folder / "CHANGELOG.md").read_text(encoding="utf-8")
-    first = re.split(r"^## ", text, flags=re.MULTILINE)[1]
-    title, _, body = first.partition("\n")
-    name = source.version if title.strip() == "Unreleased" else title.strip()
-    path = folder / f"c3gs-{source.version}-notes.md"
-    path.write_text(f"# C3GS {name}\n{body.rstrip()}\n", encoding="utf-8")
     return [path]
 
 
