@@ -29,7 +29,7 @@ from .weights import Networks, dyadic
 
 
 def _trained(name: str) -> Scene:
-    """Encodes the scene of the vector again, which reveals changes of the encoder (benchmarks/train_sources.py)."""
+    """Encodes the scene of the vector again, which reveals changes of the encoder."""
     return codec.parse((VECTORS / "valid" / f"trained-{name}.c3gs").read_bytes()).scene
 
 
