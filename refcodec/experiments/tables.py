@@ -38,7 +38,7 @@ BD_POINTS = 4
 # bjontegaard imports pyplot, which must not look for a screen.
 mpl.use("Agg")
 
-# The COLUMNS of a cell, and in `images` the PSNR of each photograph by its name.
+# The COLUMNS of a cell.
 Row = dict[str, Any]
 
 
@@ -69,14 +69,13 @@ def row(scene: str, method: str, lambda_r: float, seed: int, result: Result) -> 
         "seconds": result.seconds["train"],
         "processor_seconds": result.processor_seconds["train"],
         "sha256": result.sha256 or "",
-        "images": {image.image: image.psnr for image in result.images},
     }
 
 
 def as_csv(rows: Sequence[Row]) -> str:
     """Rows with their COLUMNS."""
     text = io.StringIO()
-    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n", extrasaction="ignore")
+    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
     writer.writeheader()
     writer.writerows(
         {name: f"{value:.6g}" if isinstance(value, float) else value for name, value in one.items()} for one in rows
@@ -166,29 +165,6 @@ def _bd(rows: Sequence[Row], baseline: str) -> Iterator[str]:
         yield from ["", *table(["method", "scenes", "mean BD-rate, %"], several)]
 
 
-def pairs(rows: Sequence[Row], baseline: str) -> list[list[str]]:
-    """Rows of a table: differences from the baseline at the same scene, lambda_r, seed and photograph.
-
-    Each has scene, method, lambda_r, the number of pairs of cells and of photographs in them, the quartiles of the
-    differences in PSNR (dB), and the median ratio of bytes.
-    """
-    known = {(one["scene"], one["lambda_r"], one["seed"]): one for one in rows if one["method"] == baseline}
-    body = []
-    for (scene, method, lambda_r), several in grouped(rows, "scene", "method", "lambda_r").items():
-        both = [(known[key], one) for one in several if (key := (scene, lambda_r, one["seed"])) in known]
-        more = [
-            psnr - other["images"][name]
-            for other, one in both
-            for name, psnr in one["images"].items()
-            if name in other["images"]
-        ]
-        if method != baseline and len(more) > 1:
-            quartiles = [f"{value:+.3f}" for value in statistics.quantiles(more, n=4, method="inclusive")]
-            ratio = statistics.median(one["bytes"] / other["bytes"] for other, one in both)
-            body.append([scene, method, f"{lambda_r:g}", f"{len(both)}, {len(more)}", *quartiles, f"{ratio:.3f}"])
-    return body
-
-
 # --- Markdown ---------------------------------------------------------------------------------------------------------
 
 
@@ -219,10 +195,6 @@ def as_markdown(title: str, rows: Sequence[Row], missing: str, baseline: str | N
     ]
     if baseline:
         lines += ["", f"## BD-rates against {baseline}", "", *_bd(rows, baseline)]
-        body = pairs(rows, baseline)
-        head = ["scene", "method", "lambda_r", "pairs, photographs", "first quartile, dB", "median, dB"]
-        head += ["third quartile, dB", "times the bytes"]
-        lines += ["", f"## Photographs against {baseline}, at the same lambda_r and seed", "", *table(head, body)]
     return "\n".join(lines) + "\n"
 
 

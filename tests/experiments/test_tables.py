@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from refcodec.experiments.jobs import RunError
-from refcodec.experiments.tables import COLUMNS, Row, as_csv, as_markdown, compare, draw, pairs, spread, write_curves
+from refcodec.experiments.tables import COLUMNS, Row, as_csv, as_markdown, compare, draw, spread, write_curves
 
 LAMBDAS = (0.04, 0.02, 0.01, 0.005)
 
@@ -22,8 +22,7 @@ def one(scene: str, method: str, lambda_r: float, seed: int, size: int, psnr: fl
         "anchors": size // 10,
     }
     figures = {"bytes": size, "psnr": psnr, "ssim": 0.9, "processor_seconds": 60 + seed}
-    images = {name: psnr + more for name, more in (("x", -1.0), ("y", 1.0))}
-    return parts | {"scene": scene, "method": method, "lambda_r": lambda_r, "seed": seed, "images": images} | figures
+    return parts | {"scene": scene, "method": method, "lambda_r": lambda_r, "seed": seed} | figures
 
 
 def curve(scene: str, method: str, seed: int, factor: float, more: float = 0.0) -> list[Row]:
@@ -90,18 +89,6 @@ def test_curves_without_a_bd_rate(test: list[Row], words: str) -> None:
     row = cells(as_markdown("x", curve("s", "base", 0, 1) + test, "", "base"), "s", test[0]["method"], "0")
     assert row[2:6] == ["0", "-", "-", ""]
     assert words in row[6]
-
-
-def test_pairs() -> None:
-    """Cells of the same lambda_r and seed are compared photograph by photograph; others are left out."""
-    rows = [one("s", "base", 0.01, seed, 1000, 30) for seed in (0, 1)]
-    rows += [one("s", "m", 0.01, seed, 900 + 100 * seed, 30 + seed) for seed in (0, 1, 2)]
-    rows += [one("s", "m", 0.02, 0, 900, 30)]
-    rows[2]["images"]["y"] += 0.5
-    # Differences are 0 and 0.5, 1 and 1. The bytes are 0.9 and 1 times the others.
-    expected = ["s", "m", "0.01", "2, 4", "+0.375", "+0.750", "+1.000", "0.950"]
-    assert pairs(rows, "base") == [expected]
-    assert cells(as_markdown("x", rows, "", "base"), "s", "m", "0.01") == expected
 
 
 def test_curves(tmp_path: Path) -> None:
