@@ -1,4 +1,4 @@
-"""LPIPS (Zhang et al. 2018), version 0.1: the difference of two images in the features of a classification network.
+"""LPIPS (Zhang et al. 2018), version 0.1: the difference of two images in the features of VGG16.
 
 The user provides a weights file, made by refcodec.evaluate.lpips_weights. Nothing is downloaded.
 """
@@ -17,23 +17,17 @@ from torch.nn import functional
 
 from ..photographs.cameras import PhotographError
 
-# Layers of the networks up to the last that is compared: a convolution's stride and padding, or a maximum's size and
-# stride. After the convolutions of COMPARED, in the order of the linear layers, images are compared.
-_CONV, _POOL = {"stride": 1, "padding": 1}, {"kernel_size": 2, "stride": 2}
-_ALEX_POOL = {"kernel_size": 3, "stride": 2}
-LAYERS: dict[str, list[dict[str, int]]] = {
-    "vgg": [_CONV, _CONV, _POOL, _CONV, _CONV, *[_POOL, _CONV, _CONV, _CONV] * 3],
-    "alex": [{"stride": 4, "padding": 2}, _ALEX_POOL, {"stride": 1, "padding": 2}, _ALEX_POOL, _CONV, _CONV, _CONV],
-}
-COMPARED = {"vgg": (1, 3, 6, 9, 12), "alex": (0, 1, 2, 3, 4)}
-# The smallest side that the deepest layers accept.
-SIDE_MIN = 32
+# The convolutions of VGG16 in each block. A maximum over 2 x 2 pixels is between blocks, and images are compared after
+# each of them.
+BLOCKS = (2, 2, 3, 3, 3)
+# The smallest side that the last block accepts.
+SIDE_MIN = 1 << (len(BLOCKS) - 1)
 # Of values from -1 to 1: the mean and deviation of ImageNet's, moved to that range.
 _SHIFT, _SCALE = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)
 
 
 class Lpips:
-    """The measure with the weights of a safetensors file, whose metadata names their network.
+    """The measure with the weights of a safetensors file.
 
     Raises ValueError, OSError.
     """
@@ -41,19 +35,16 @@ class Lpips:
     def __init__(self, path: str | Path) -> None:
         try:
             with safe_open(path, "pt") as file:
-                self.network: str = (file.metadata() or {}).get("network", "")
+                network = (file.metadata() or {}).get("network")
                 self.weights: dict[str, Any] = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
         except SafetensorError as error:
             raise ValueError(f"{path} is not a safetensors file ({error})") from None
-        if self.network not in LAYERS:
+        if network != "vgg":
             raise ValueError(
                 f"{path} does not have LPIPS weights: make it with python -m refcodec.evaluate.lpips_weights"
             )
-        convolutions = sum("padding" in layer for layer in LAYERS[self.network])
-        needed = {f"conv{i}.{kind}" for i in range(convolutions) for kind in ("weight", "bias")} | {
-            f"linear{i}" for i in range(5)
-        }
-        if missing := needed - set(self.weights):
+        needed = {f"conv{i}.{kind}" for i in range(sum(BLOCKS)) for kind in ("weight", "bias")}
+        if missing := (needed | {f"linear{i}" for i in range(len(BLOCKS))}) - set(self.weights):
             raise ValueError(f"{path} lacks {', '.join(sorted(missing))}")
         black = np.zeros((SIDE_MIN, SIDE_MIN, 3), np.uint8)
         try:
@@ -67,7 +58,7 @@ class Lpips:
 
         made: float [h, w, 3], 1 for white, cut to 0 to 1. photograph: uint8 [h, w, 3]. lpips uses values from -1 to 1,
         as its authors do. lpips_3dgs uses values from 0 to 1, as the code of 3D Gaussian Splatting and its successors
-        do. Raises PhotographError for sides below 32 pixels.
+        do. Raises PhotographError for sides below SIDE_MIN.
         """
         if min(photograph.shape[:2]) < SIDE_MIN:
             height, width = photograph.shape[:2]
@@ -84,16 +75,12 @@ class Lpips:
         values = (values - _column(_SHIFT)) / _column(_SCALE)
         total, number = 0.0, 0
         with torch.inference_mode():
-            for layer in LAYERS[self.network]:
-                if "padding" not in layer:
-                    values = functional.max_pool2d(values, layer["kernel_size"], layer["stride"])
-                    continue
-                values = functional.conv2d(
-                    values, self.weights[f"conv{number}.weight"], self.weights[f"conv{number}.bias"], **layer
-                ).relu()
-                if number in COMPARED[self.network]:
-                    total += self._difference(values, COMPARED[self.network].index(number))
-                number += 1
+            for block, convolutions in enumerate(BLOCKS):
+                values = functional.max_pool2d(values, 2) if block else values
+                for _ in range(convolutions):
+                    weight, bias = self.weights[f"conv{number}.weight"], self.weights[f"conv{number}.bias"]
+                    values, number = functional.conv2d(values, weight, bias, padding=1).relu(), number + 1
+                total += self._difference(values, block)
         return total
 
     def _difference(self, values: Tensor, number: int) -> float:

