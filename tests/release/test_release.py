@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import io
-import json
 import os
 import re
 import shutil
@@ -17,6 +16,7 @@ from pathlib import Path
 import pytest
 from packaging.requirements import Requirement
 
+from refcodec import __version__
 from refcodec.statuses import UsageError
 from release import archives, audit, compiler, notices, wheels
 from release.source import Source
@@ -171,15 +171,11 @@ def test_a_library_that_a_system_may_not_load_is_refused(
         audit.check_kernel(b"", target)
 
 
-def test_the_citation_and_the_deposit_agree() -> None:
-    """.zenodo.json says what CITATION.cff and pyproject.toml say."""
-    deposit = json.loads((ROOT / ".zenodo.json").read_bytes())
+def test_the_citation_is_current() -> None:
+    """CITATION.cff, from which Zenodo takes the deposit, states what the package does."""
     citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
-    assert f'title: "{deposit["title"]}"' in citation
-    assert f"version: {deposit['version']}" in citation
-    assert f"license: {deposit['license']}" in citation
-    assert deposit["license"] == PROJECT["license"]
-    assert [c["name"] for c in deposit["creators"]] == [a["name"] for a in PROJECT["authors"]]
+    for line in (f"version: {__version__}", f"license: {PROJECT['license']}", f"name: {PROJECT['authors'][0]['name']}"):
+        assert f"{line}\n" in citation
 
 
 @pytest.mark.skipif(shutil.which("file") is None, reason="file(1) is not here")
