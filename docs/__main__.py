@@ -1,12 +1,13 @@
 """Builds the manual as a site: `python -m docs -o out/manual`. It needs `pip install '.[docs]'`.
 
-What is wrong with a page or a link is an error. The pages of an earlier build are replaced.
+What is wrong with a page is an error. The pages of an earlier build are replaced.
 """
 
 from __future__ import annotations
 
 import argparse
 import importlib.util
+import os
 import subprocess
 import sys
 import tempfile
@@ -16,7 +17,9 @@ from refcodec import __version__
 from refcodec.statuses import USAGE
 
 from . import document
-from .stage import MANUAL, ROOT, SPEC_PAGE, stage
+
+ROOT = Path(__file__).resolve().parents[1]
+SPEC_PAGE = "c3gs-spec.html"
 
 
 def main() -> int:
@@ -32,15 +35,14 @@ def main() -> int:
 
 def build(output: Path) -> int:
     """Builds the site. Returns the exit status of Sphinx, which is 0 if there was no warning."""
-    with tempfile.TemporaryDirectory() as folder:
-        source = Path(folder) / "pages"
-        source.mkdir()
-        stage(source)
-        options = ["-q", "-W", "--keep-going", "-E", "-c", str(MANUAL), "-d", str(Path(folder) / "cache")]
-        command = [sys.executable, "-m", "sphinx", "-b", "html", *options, str(source), str(output)]
-        status = subprocess.run(command, check=False).returncode
+    with tempfile.TemporaryDirectory() as cache:
+        options = ["-q", "-W", "--keep-going", "-E", "-c", str(ROOT / "docs"), "-d", cache]
+        command = [sys.executable, "-m", "sphinx", "-b", "html", *options, str(ROOT), str(output)]
+        environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
+        status = subprocess.run(command, env=environment, check=False).returncode
     if status == 0:
-        (output / SPEC_PAGE).write_text(document.page({"Program": f"refcodec {__version__}"}, ROOT), encoding="utf-8")
+        page = document.page({"Program": f"refcodec {__version__}"}, ROOT)
+        (output / SPEC_PAGE).write_text(page, encoding="utf-8")
     return status
 
 

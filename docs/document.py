@@ -17,7 +17,7 @@ from refcodec.bitstream.errors import REGISTRY
 from refcodec.inspect import specification
 
 # Code is left as it is: blocks, and words between backquotes.
-CODE = re.compile(r"^ *```.*?^ *```$|`[^`\n]*`", re.DOTALL | re.MULTILINE)
+_CODE = re.compile(r"^ *```.*?^ *```$|`[^`\n]*`", re.DOTALL | re.MULTILINE)
 # What comes before the number of a clause that is meant as one. Other numbers with a point are figures.
 _BEFORE = r"(?:\(|\| |\b(?:[Cc]lauses?|[Cc]hapters?|of|in|by|that|which|see)\s|\bAnnex(?:es)?\s)"
 _NUMBER = r"(?:\d+(?:\.\d+)*|[A-H](?:\.\d+)*)"
@@ -31,7 +31,7 @@ _CITED = re.compile(rf"\[([RDGE]{specification.CLAUSE}-\d+)\](?!\()")
 _HEADING = re.compile(rf"<h(\d)>((?:Annex )?({specification.CLAUSE}):? .*?)</h\1>")
 
 
-def outside_code(text: str, change: Callable[[str], str]) -> str:
+def _outside_code(text: str, change: Callable[[str], str]) -> str:
     """Returns a text of which all but the code was changed. change: receives the text with a mark for each code."""
     kept: list[str] = []
 
@@ -39,12 +39,12 @@ def outside_code(text: str, change: Callable[[str], str]) -> str:
         kept.append(code[0])
         return f"\0{len(kept) - 1}\0"
 
-    return re.sub(r"\0(\d+)\0", lambda place: kept[int(place[1])], change(CODE.sub(keep, text)))
+    return re.sub(r"\0(\d+)\0", lambda place: kept[int(place[1])], change(_CODE.sub(keep, text)))
 
 
 @cache
-def permanent() -> dict[str, str]:
-    """Returns the permanent anchor of each clause by that of its heading on code hosts."""
+def _permanent() -> dict[str, str]:
+    """The permanent anchor of each clause by that of its heading on code hosts."""
     return {clause.anchor: number for number, clause in specification.own_clauses().items()}
 
 
@@ -73,11 +73,11 @@ def page(about: Mapping[str, str], root: Path) -> str:
     from markdown_it import MarkdownIt  # noqa: PLC0415 (the extras `docs` and `release` have it)
 
     # Comments are marks for the tools of the repository. The contents take the place of the table of chapters.
-    text = outside_code(specification.text(), lambda words: re.sub(r"<!--.*?-->\n*", "", words, flags=re.DOTALL))
+    text = _outside_code(specification.text(), lambda words: re.sub(r"<!--.*?-->\n*", "", words, flags=re.DOTALL))
     introduction, first, chapters = text.partition("\n## 1 ")
     text = re.sub(r"^\|.*\n", "", introduction, flags=re.MULTILINE) + first + chapters
     markdown = MarkdownIt("commonmark", {"html": True, "highlight": _highlighted}).enable("table")
-    made = _HEADING.sub(r'<h\1 id="\3">\2</h\1>', markdown.render(outside_code(text, linked)))
+    made = _HEADING.sub(r'<h\1 id="\3">\2</h\1>', markdown.render(_outside_code(text, linked)))
     made = re.sub(r'<a href="([^"]+)">(.*?)</a>', _link, made, flags=re.DOTALL)
     made = re.sub(r"<tr>(?=\s*<td>(\d{3})</td>\s*<td>([a-z_.]+)</td>)", _error, made)
     made = re.sub(r'<img src="([^"]+)"', lambda image: f'<img src="{_picture(root / image[1])}"', made)
@@ -100,7 +100,7 @@ def _link(link: re.Match[str]) -> str:
     place, _, anchor = link[1].partition("#")
     if "://" in link[1] or link[1].startswith("mailto:"):
         return link[0]
-    return link[2] if place not in ("", "SPEC.md") else f'<a href="#{permanent().get(anchor, anchor)}">{link[2]}</a>'
+    return link[2] if place not in ("", "SPEC.md") else f'<a href="#{_permanent().get(anchor, anchor)}">{link[2]}</a>'
 
 
 def _error(row: re.Match[str]) -> str:

@@ -82,8 +82,10 @@ def _options(program: str, command: str, capsys: pytest.CaptureFixture[str]) -> 
 
 
 def test_no_page_is_forgotten() -> None:
-    """The manual's first page leads to each of its pages."""
+    """The manual's first page leads to each of its pages, and the contents of the site have each."""
     index = (ROOT / "docs" / "index.md").read_text(encoding="utf-8")
     python = (ROOT / "docs" / "python.md").read_text(encoding="utf-8")
+    contents = (ROOT / "docs" / "conf.py").read_text(encoding="utf-8")
     for page in PAGES[1:]:
         assert f"({page.name})" in index + python or page.stem == "index", page.name
+        assert f'"{page.stem}"' in contents or page.stem == "index", page.name
