@@ -1,13 +1,6 @@
 """The code blocks of the manual, and how they are run.
 
-A comment above each block of a shell, Python or JavaScript states how the tests use it:
-
-    <!-- run -->                    it is run, and must succeed
-    <!-- run: it exits with 1 -->   it is run, and its last command must exit with this status
-    <!-- run: needs cc -->          it is run if there is such a program, or package of Python
-    <!-- run: trains -->            it is run, with some training steps; the test is slow
-    <!-- not run: WHY -->           it is not run
-
+A comment above each block of a shell, Python or JavaScript states how: CONTRIBUTING.md ("The manual") has the forms.
 The blocks of a page are run in order, in one folder that has the project's files, as a reader would run them.
 """
 
