@@ -17,7 +17,6 @@ from conformance.manifest import load
 from . import (
     citations,
     coverage,
-    decoder,
     descriptions,
     example,
     figures,
@@ -30,10 +29,9 @@ from . import (
 )
 from .made import Made
 
-# The order matters. The second decoder and the worked example need the tables, SPEC.md contains the example, and the
-# matrix reads SPEC.md.
+# The order matters. The worked example needs the tables, SPEC.md contains the example, and the matrix reads SPEC.md.
 MAKERS: tuple[Callable[[], Iterator[Made]], ...] = (
-    tables.made, decoder.made, example.made, figures.made, generated.made, matrix.made, house.made,
+    tables.made, example.made, figures.made, generated.made, matrix.made, house.made,
     descriptions.made, public.made,
 )  # fmt: skip
 

@@ -28,7 +28,6 @@ _MARK = re.compile(r"(\[[RDGE](?:\d+|[A-H])(?:\.\d+)*-\d+\])")
 # Files generated from SPEC.md's requirements, and files about wrong citations.
 _LEFT_OUT = (
     "tests/",
-    "conformance/spec_decoder/blocks.py",
     "conformance/REQUIREMENTS.md",
     "conformance/mutants/",
 )

@@ -24,10 +24,10 @@ from tqdm import tqdm
 from conformance import spec_decoder
 from conformance.cases.cameras import expected
 from conformance.manifest import VECTORS, GaussiansOf, Manifest, Vector, load
-from conformance.spec_decoder import Names, blocks
+from conformance.spec_decoder import Names, program
+from conformance.spec_decoder.program import SPEC
 
 from . import elements
-from .decoder import SPEC, TARGET
 
 LINE, TRUE, FALSE = "is not run", "is never true", "is never false"
 AT, BEYOND = "never just holds", "never just fails"
@@ -99,7 +99,7 @@ QUANTITIES = {
 
 @dataclass(frozen=True)
 class Site:
-    """A place of blocks.py that a probe watches. text: of the statement's first line, or of the condition."""
+    """A place of SPEC.md's blocks that a probe watches. text: of the statement's first line, or of the condition."""
 
     function: str
     line: int
@@ -238,7 +238,7 @@ class Probed:
 
 def probed() -> Probed:
     """Returns a second decoder with probes."""
-    source = TARGET.read_text(encoding="utf-8")
+    source = program.source(SPEC.read_text(encoding="utf-8"))
     probes = _Probes(source)
     tree = probes.visit(ast.parse(source))
     seen = bytearray(len(probes.sites))
@@ -260,9 +260,8 @@ def probed() -> Probed:
             extremes[quantity] = min(least, value), max(greatest, value)
         return value
 
-    space: Names = {"__name__": blocks.__name__, "__package__": blocks.__package__, "_seen": seen}
-    space |= {"_condition": condition, "_bound": bound, "_extreme": extreme}
-    exec(compile(ast.unparse(tree), str(TARGET), "exec"), space)
+    code = compile(ast.fix_missing_locations(tree), str(SPEC), "exec")
+    space = program.names(code, _seen=seen, _condition=condition, _bound=bound, _extreme=extreme)
     return Probed(space, seen, probes.sites, extremes)
 
 

@@ -22,10 +22,10 @@ from typing import Any
 
 import z3
 
-from conformance.spec_decoder import blocks
+from conformance.spec_decoder import blocks, program
+from conformance.spec_decoder.program import SPEC
 
 from .coverage import IMAGES, QUANTITIES
-from .decoder import SPEC, TAIL, module
 from .symbolic import (
     WIDTH,
     DeadError,
@@ -133,7 +133,7 @@ class Specification:
 @cache
 def specification(text: str) -> Specification:
     """Returns the marked blocks and the rows of 7.11. text: SPEC.md."""
-    source = module(text).removesuffix(TAIL)
+    source = program.source(text).removesuffix(program.TAIL)
     for old, new in STARTS.items():
         if source.count(old) != 1:
             raise UnprovedError(f"the blocks have changed: {old}")
@@ -212,10 +212,12 @@ class Proof:
 
     def run(self) -> None:
         """Runs all paths. Raises UnprovedError if an integer can exceed its bound."""
-        space: dict[str, Any] = {"__name__": blocks.__name__, "__package__": blocks.__package__}
-        space |= {"_quantity": lambda name, x, *_: x, "_shift": lambda _, a, b, left: a << b if left else a >> b}
-        space["_start"] = 0
-        exec(self.spec.code, space)
+        space = program.names(
+            self.spec.code,
+            _quantity=lambda name, x, *_: x,
+            _shift=lambda _, a, b, left: a << b if left else a >> b,
+            _start=0,
+        )
         space |= {"_quantity": self.quantity, "_shift": self.shift, "abs": magnitude, "len": length}
         space |= {"max": lambda *x: extreme(1, *x), "min": lambda *x: extreme(-1, *x)}
         space |= {"REQUIRE": lambda truth, *_: Path.now.must(truth), "REFUSE": refuse}

@@ -19,19 +19,25 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from conformance.manifest import Manifest, Vector
+from conformance.spec_decoder import program
 from refcodec.bitstream.errors import REGISTRY
 from refcodec.inspect.specification import Requirement
 
 from .made import ROOT
 
-# The decoders and their source files.
+# The decoders and their source files. The blocks of SPEC.md are the second decoder.
 DECODERS = {
     "refcodec": ("refcodec/bitstream/*.py", "refcodec/rendering/*.py", "refcodec/folder/*.py"),
-    "second decoder": ("conformance/spec_decoder/*.py",),
+    "second decoder": ("SPEC.md", "conformance/spec_decoder/*.py"),
     "decoder in C": ("conformance/c/decoder.c",),
 }
 # What also renders and writes files.
 RENDERS = WRITES = ("refcodec",)
+# Functions of SPEC.md that are also for clauses without a block, and these clauses.
+CLAUSES = {
+    "DECODE_SYMBOL": ("8.2",), "DECODE_VALUES": ("8.6",), "WORLD": ("9.1",),
+    "DECODE_ATTRIBUTES": ("7.7", "7.8", "7.9"), "DECODE_FILE": ("10.1", "15.4"), "CHECK_DIRECTORY": ("12.1", "13.1"),
+}  # fmt: skip
 # The test that has a case for each error.
 FAULTS = ("tests/conformance/test_decoders.py", "test_fault")
 
@@ -69,12 +75,24 @@ def _cited(comment: str) -> Iterator[str]:
     yield from re.findall(r"(?:Annex |SPEC |, |and |/\* )([A-H])\b(?![ .]\w)", comment)
 
 
-def _python(path: Path, found: Found) -> None:
+def _blocks(path: Path, found: Found) -> None:
+    """Adds the functions and classes of the blocks of SPEC.md. Each cites the clause or the annex of its block."""
+    text = path.read_text(encoding="utf-8")
+    blocks = program.source(text)
+    _python(path.name, blocks, found)
+    clauses = [re.match(r"##+ (?:Annex )?([A-H]|[\d.]+)\b", line) for line in text.splitlines()]
+    for node in ast.parse(blocks).body:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            own = next(match[1] for match in reversed(clauses[: node.lineno]) if match)
+            for clause in (own, *CLAUSES.get(node.name, ())):
+                found.citing[clause].append(Place(path.name, node.name))
+
+
+def _python(name: str, source: str, found: Found) -> None:
     """Adds the functions and classes of a Python module that raise errors or cite clauses.
 
     The comments above a function and its decorators belong to it.
     """
-    source, name = path.read_text(encoding="utf-8"), path.relative_to(ROOT).as_posix()
     lines = source.splitlines()
 
     def visit(node: ast.AST, scope: str) -> None:
@@ -100,14 +118,14 @@ def _python(path: Path, found: Found) -> None:
     visit(ast.parse(source), "")
 
 
-def _c(path: Path, found: Found) -> None:
+def _c(name: str, source: str, found: Found) -> None:
     """Adds the functions of the decoder in C that refuse files or cite clauses.
 
     A function cites the clauses in the first line of the comment above it.
     """
-    name, known = path.relative_to(ROOT).as_posix(), {e.replace(".", "_").upper(): e for e in REGISTRY}
+    known = {e.replace(".", "_").upper(): e for e in REGISTRY}
     function, comment = "", ""
-    for line in path.read_text(encoding="utf-8").splitlines():
+    for line in source.splitlines():
         if line.startswith("/*"):
             comment = line
         head = re.match(r"(?:\w+ )*[\w *]*?\b([A-Z][A-Z0-9_]*)\(", line) if line[:1].isalpha() else None
@@ -135,7 +153,11 @@ def code() -> dict[str, Found]:
         found = Found(defaultdict(list), defaultdict(list))
         for pattern in patterns:
             for path in sorted(ROOT.glob(pattern)):
-                (_c if path.suffix == ".c" else _python)(path, found)
+                if path.suffix == ".md":
+                    _blocks(path, found)
+                else:
+                    name, source = path.relative_to(ROOT).as_posix(), path.read_text(encoding="utf-8")
+                    (_c if path.suffix == ".c" else _python)(name, source, found)
         every[decoder] = found
     return every
 

@@ -5,13 +5,10 @@ from __future__ import annotations
 from functools import cache
 from types import CodeType
 
-from ..spec_decoder import Names, blocks
+from ..spec_decoder.program import Names, code, names
 from .mutant import PATH, Mutant, definitions, span, text
 
-
-@cache
-def _code() -> CodeType:
-    return compile(text(), PATH, "exec", dont_inherit=True)
+_unchanged_code = cache(code)
 
 
 def _functions(code: CodeType) -> dict[str, list[tuple[object, ...]]]:
@@ -52,7 +49,6 @@ def load(mutant: Mutant | None) -> Names:
 
     Raises whatever the changed text raises when it is executed.
     """
-    code = compile(mutant.source, f"<{mutant.id}>", "exec", dont_inherit=True) if mutant else _code()
-    names: Names = {"__name__": blocks.__name__, "__package__": blocks.__package__}
-    exec(code, names)
-    return names
+    if mutant is None:
+        return names(_unchanged_code())
+    return names(compile(mutant.source, f"<{mutant.id}>", "exec", dont_inherit=True))

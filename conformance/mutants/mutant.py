@@ -6,9 +6,9 @@ import ast
 from dataclasses import dataclass
 from functools import cache
 
-from ..spec_decoder import blocks
+from ..spec_decoder.program import SPEC, source
 
-PATH = blocks.__file__
+PATH = str(SPEC)
 
 
 @dataclass(frozen=True)
@@ -38,8 +38,7 @@ class Mutant:
 @cache
 def text() -> str:
     """Returns the text of the blocks."""
-    with open(PATH, encoding="utf-8") as file:
-        return file.read()
+    return source(SPEC.read_text(encoding="utf-8"))
 
 
 @cache

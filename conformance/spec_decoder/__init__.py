@@ -1,23 +1,21 @@
 """The second decoder: the Python blocks of SPEC.md as a program, with the standard library only.
 
-`python -m spec` extracts `blocks` from SPEC.md. The other modules are what a program needs besides.
+`blocks` has their names. The modules are what a program needs besides.
 """
 
 from __future__ import annotations
 
 import hashlib
-import importlib.util
 from dataclasses import dataclass
-from typing import Any
 
-from . import blocks, support
+from . import support
 from .errors import C3GSError
+from .program import Names, blocks, names
 
-__all__ = ["C3GSError", "Decoded", "decode", "names", "verdict"]
+__all__ = ["C3GSError", "Decoded", "Names", "blocks", "decode", "names", "verdict"]
 
 # SPEC 9.3: the parts of the canonical reconstruction, in their order; only static scenes have the last one
 PARTS = ("positions", "masks", "planes", "features", "scalings", "offsets", "weights", "splat")
-Names = dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -49,20 +47,6 @@ def decode(data: bytes) -> Decoded:
     digests = {"whole": hashlib.sha256(scene).hexdigest()}
     digests |= {name: hashlib.sha256(part).hexdigest() for name, part in zip(PARTS, parts, strict=False)}
     return Decoded(digests, scene + b"".join(parts))
-
-
-def names() -> Names:
-    """Returns the names of a new copy of `blocks`, in the dictionary that its functions use: callers may replace them.
-
-    `blocks` has the Python blocks of SPEC.md, the constants of 2.5, the errors of 10.3, the tables of chapter 11 and
-    those of Annex A.
-    """
-    spec = importlib.util.find_spec(f"{__name__}.blocks")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return vars(module)
 
 
 def verdict(space: Names, data: bytes) -> tuple[Names | None, tuple[str, int] | None]:

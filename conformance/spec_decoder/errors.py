@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from . import blocks
+from .program import blocks
 
 
 # SPEC 10.2, 10.3

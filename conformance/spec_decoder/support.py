@@ -7,7 +7,8 @@ from collections import deque
 from pathlib import Path
 
 TABLES_SHA256 = "b8b489ae1faadaa4b3c91467cd7517a68c3ac7cda6ee1c5a2c8282dd3ec087b5"
-TABLES = Path(__file__).resolve().parents[2] / "refcodec" / "data" / "tables-0.bin"
+DATA = Path(__file__).resolve().parents[2] / "refcodec" / "data"
+TABLES = DATA / "tables-0.bin"
 
 # The last inputs of SHA256. After DECODE_FILE the last ones are the parts, and what the scene's digest is made of.
 HASHED: deque[bytes] = deque(maxlen=9)

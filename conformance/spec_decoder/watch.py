@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from itertools import count
 from typing import Any, TextIO
 
-from . import blocks
+from .program import blocks
 
 # SPEC 7.3: sub-planes 0 to 4
 SUB_PLANES = ("r1", "r2.top_left", "r2.top_right", "r2.bottom_left", "r2.bottom_right")

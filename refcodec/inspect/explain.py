@@ -16,7 +16,7 @@ from functools import cache
 from typing import Any
 
 from ..bitstream.errors import REGISTRY, ErrorKind
-from ..resources import PACKAGE, find
+from ..resources import find
 from . import specification
 from .meaning import FIELDS, TABLE_CLAUSES, Meaning, is_path, meaning, of_field
 
@@ -41,8 +41,10 @@ def _reasons() -> dict[str, dict[str, str]]:
 
 @cache
 def _source(path: str) -> list[str]:
-    file = PACKAGE.parent / path
-    return file.read_text(encoding="utf-8").splitlines() if file.is_file() else []
+    try:
+        return find(path).read_text(encoding="utf-8").splitlines()
+    except FileNotFoundError:
+        return []
 
 
 def _place(path: str, function: str, error: str) -> str:

@@ -89,8 +89,7 @@ def decoder(changes: dict[str, str], minor: int = 1) -> Decoder:
     for old, new in {"\nMINOR = 0\n": f"\nMINOR = {minor}\n", **changes}.items():
         assert source.count(old) == 1, old
         source = source.replace(old, new)
-    names: spec_decoder.Names = {"__name__": "version", "__package__": spec_decoder.__name__}
-    exec(compile(source, "version", "exec", dont_inherit=True), names)
+    names = spec_decoder.names(compile(source, "version", "exec", dont_inherit=True))
 
     def decode(data: bytes) -> Verdict:
         found, error = spec_decoder.verdict(names, data)

@@ -21,6 +21,7 @@ from conformance import cli, spec_decoder
 from conformance.manifest import VECTORS
 from conformance.runner import divergence, probes, traces
 from conformance.runner.probes import Compared
+from conformance.spec_decoder import program
 from refcodec import statuses
 from refcodec.bitstream.tables import tables_file
 from refcodec.inspect.trace import symbol_trace
@@ -84,11 +85,10 @@ def _wrong(folder: Path, old: str, new: str) -> Path:
     """The second decoder with a bug, as the package wrong_probes of a folder."""
     place = folder / "packages" / "wrong_probes"
     shutil.copytree(Path(spec_decoder.__file__).parent, place, ignore=shutil.ignore_patterns("__pycache__"))
-    path = place / "blocks.py"
-    text = path.read_text(encoding="utf-8")
-    assert text.count(old) == 1
-    path.write_text(text.replace(old, new), encoding="utf-8")
-    # The decoder finds the tables beside its package.
+    text = program.SPEC.read_text(encoding="utf-8")
+    assert program.source(text).count(old) == 1
+    (folder / "SPEC.md").write_text(text.replace(old, new), encoding="utf-8")
+    # The decoder finds SPEC.md and the tables beside its package.
     (folder / "refcodec" / "data").mkdir(parents=True)
     shutil.copy(tables_file(), folder / "refcodec" / "data" / "tables-0.bin")
     return place.parent

@@ -8,8 +8,12 @@ from __future__ import annotations
 import ast
 import io
 import json
+import os
+import re
+import shutil
 import subprocess
 import sys
+import traceback
 from pathlib import Path
 
 import pytest
@@ -19,11 +23,11 @@ from conformance import spec_decoder
 from conformance.cases.checksums import repair
 from conformance.cases.target import Target
 from conformance.spec_decoder import __main__ as second_main
+from conformance.spec_decoder import program, support
 from conformance.spec_decoder.watch import watched
 from refcodec import statuses
 from refcodec.bitstream import codec, reconstruction
 from refcodec.inspect.trace import symbol_trace
-from spec import decoder
 
 ROOT = Path(__file__).resolve().parents[2]
 SOURCES = sorted((ROOT / "conformance" / "spec_decoder").glob("*.py"))
@@ -67,9 +71,35 @@ def test_it_imports_the_standard_library_alone() -> None:
                 assert name.partition(".")[0] in sys.stdlib_module_names, f"{path.name} imports {name}"
 
 
-def test_it_is_what_the_specification_says() -> None:
-    """`python -m spec` would write the same file."""
-    assert [made.path.name for made in decoder.made() if made.is_current()] == ["blocks.py"]
+def test_its_lines_are_those_of_the_specification() -> None:
+    """Each line of a block is at its place, and each row of a table, in tracebacks too."""
+    lines = program.SPEC.read_text(encoding="utf-8").splitlines()
+    made = program.source("\n".join(lines)).splitlines()
+    blocks = re.findall(r"^```python\n(.*?)\n```$", "\n".join(lines), re.DOTALL | re.MULTILINE)
+    in_place = [line for line, own in zip(made, lines, strict=False) if line and line == own]
+    assert in_place == [line for block in blocks for line in block.splitlines() if line]
+    row = next(i for i, line in enumerate(lines) if line.startswith("| RAW_MAX | 16 |"))
+    assert made[row] == "RAW_MAX = 16"
+    with pytest.raises(ZeroDivisionError) as caught:
+        program.blocks.RESCALE({"low": [0], "high": [0]}, [1])
+    last = traceback.extract_tb(caught.value.__traceback__)[-1]
+    assert last.filename == str(program.SPEC)
+    assert last.line == lines[(last.lineno or 0) - 1].strip()
+
+
+def test_a_changed_specification_is_compiled_again(tmp_path: Path) -> None:
+    """Compiled code is kept, but never used for another SPEC.md."""
+    shutil.copytree(SOURCES[0].parent, tmp_path / "second", ignore=shutil.ignore_patterns("__pycache__"))
+    (tmp_path.parent / "refcodec" / "data").mkdir(parents=True)
+    shutil.copy(support.TABLES, tmp_path.parent / "refcodec" / "data")
+    text = program.SPEC.read_text(encoding="utf-8")
+    for minor in "00374":
+        (tmp_path.parent / "SPEC.md").write_text(text.replace("| MINOR | 0 |", f"| MINOR | {minor} |"))
+        environment = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
+        words = [sys.executable, "-c", "import second; print(second.blocks.MINOR)"]
+        ended = subprocess.run(words, cwd=tmp_path, env=environment, check=True, capture_output=True, text=True)
+        assert ended.stdout == f"{minor}\n"
+        assert list((tmp_path.parent / "__pycache__").glob("SPEC.*.pyc"))
 
 
 # --- its command ------------------------------------------------------------------------------------------------------

@@ -79,7 +79,7 @@ def test_each_error_is_explained(kind, capsys: pytest.CaptureFixture[str]) -> No
         assert text in found
     assert f"test_fault[{kind.name}]" in found
     assert "refcodec/bitstream/" in found
-    assert "conformance/spec_decoder/" in found
+    assert "  SPEC.md:" in found
 
 
 def test_there_is_no_explanation_of_nothing() -> None:

@@ -11,6 +11,7 @@ from msgspec import structs
 
 from conformance import spec_decoder
 from conformance.manifest import Rejected, load
+from conformance.spec_decoder.program import SPEC
 from refcodec.inspect.elements import rows
 from spec import coverage, elements
 from spec.coverage import (
@@ -29,7 +30,6 @@ from spec.coverage import (
     reached,
     report,
 )
-from spec.decoder import SPEC
 
 SUITE = load()
 EXAMPLE = next(vector for vector in SUITE.vectors if vector.id == "valid-worked-example")

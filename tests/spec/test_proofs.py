@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
+from conformance.spec_decoder.program import SPEC
 from spec import proofs
-from spec.decoder import SPEC
 from spec.proofs import BODIES, prove, specification
 
 TEXT = SPEC.read_text(encoding="utf-8")
