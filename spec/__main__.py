@@ -1,4 +1,4 @@
-"""Makes the generated texts, tables and pictures of SPEC.md and of the repository.
+"""Makes the generated texts and tables of SPEC.md and of the repository.
 
 python -m spec            writes the files that are not current
 python -m spec --check    names stale files and wrong citations of SPEC.md, and exits with 1 if there are any
@@ -17,12 +17,11 @@ from conformance.manifest import load
 from . import (
     citations,
     coverage,
-    descriptions,
     example,
-    figures,
     generated,
     house,
     matrix,
+    meanings,
     proofs,
     public,
     tables,
@@ -31,8 +30,7 @@ from .made import Made
 
 # The order matters. The worked example needs the tables, SPEC.md contains the example, and the matrix reads SPEC.md.
 MAKERS: tuple[Callable[[], Iterator[Made]], ...] = (
-    tables.made, example.made, figures.made, generated.made, matrix.made, house.made,
-    descriptions.made, public.made,
+    tables.made, example.made, generated.made, matrix.made, house.made, public.made,
 )  # fmt: skip
 
 
@@ -59,7 +57,7 @@ def main(arguments: list[str]) -> int:
             else:
                 file.write()
                 print(f"{file.path.name} was written")
-    for fault in citations.check() if arguments else []:
+    for fault in (*citations.check(), *meanings.check()) if arguments else ():
         stale = True
         print(fault, file=sys.stderr)
     return 1 if stale and arguments else 0

@@ -1,4 +1,4 @@
-# Made by `python -m spec` from the syntax tables of SPEC.md.
+# SPEC.md chapter 5 for Kaitai Struct. tests/spec compares the fields, types and docs with its syntax tables.
 meta:
   id: c3gs
   title: "C3GS: a bitstream for learned 3D Gaussian scenes"

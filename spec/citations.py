@@ -3,12 +3,14 @@
 A citation names clauses, requirements, steps of 10.1 and functions of the clause's block: `SPEC 7.5, [R6.7-2]`,
 `10.1, CHUNKS`, `SPEC 9.1, WORLD`. Each of them must exist. Code must also share a word with what it cites: the function
 around the citation has a word of the requirement, or of the names in the clause's title, tables, rules and block.
-Clauses without such names are not compared.
+Clauses without such names are not compared. A paragraph, in code and in texts, that names a whole chapter or annex must
+share a word with its headings, first paragraphs or bold leads.
 """
 
 from __future__ import annotations
 
 import ast
+import itertools
 import re
 import subprocess
 from collections.abc import Iterator
@@ -22,8 +24,11 @@ _CLAUSE = r"(?:\d+|[A-H])(?:\.\d+)*(?![\w-])"
 _REQUIREMENT = r"\[?[RDGE](?:\d+|[A-H])(?:\.\d+)*-\d+\]?"
 _ITEM = rf"(?:{_REQUIREMENT}|{_CLAUSE}|[A-Z][A-Z0-9_]{{2,}}\b)"
 _ITEMS = rf"{_ITEM}(?:(?:, | and | to |; ){_ITEM})*"
-# Python and texts name SPEC.md. A comment in C or JavaScript begins with the number.
-_CITATION = re.compile(rf"(?:SPEC(?:\.md)? (?:chapter |Annex )?|(?:^|\s)(?:/\*|//) (?=\d+\.|\[))({_ITEMS})")
+_KIND = r"(?:[Cc]lauses?|[Cc]hapters?|Annex(?:es)?) "
+# Python and texts name SPEC.md, or a kind of place. A comment in C or JavaScript begins with the number.
+_CITATION = re.compile(rf"(?:SPEC(?:\.md)? |(?<!\w){_KIND}|(?:^|\s)(?:/\*|//) (?=\d+\.|\[))(?:{_KIND})?({_ITEMS})")
+# Clauses of other documents.
+_OTHERS = re.compile(r"\b(?:RFC \d+|ITU-T \S+(?: \([\d/]+\))?|SPDX [^,]*), (?:clause|chapter|Annex) [\dA-H.]+")
 _MARK = re.compile(r"(\[[RDGE](?:\d+|[A-H])(?:\.\d+)*-\d+\])")
 # Files generated from SPEC.md's requirements, and files about wrong citations.
 _LEFT_OUT = (
@@ -39,7 +44,8 @@ _COMMON = set(
         r"\w+",
         "the and that for with are not from all each other which this these its has have than only least most any one "
         "two three before after between whose none true false return def self int value number length size byte bit "
-        "first last order list item name field rule must satisfy checked checks check file supported error code",
+        "first last order list item name field rule must satisfy checked checks check file supported error code "
+        "spec annex clause chapter",
     )
 )
 
@@ -57,6 +63,18 @@ def _clause_words(number: str) -> set[str]:
     # A clause with a table or a block defines names. Without them it is too general to compare.
     defines = re.search(r"^```|^\| (\w+) \|", clause.text, re.MULTILINE)
     return words(f"{clause.title} {clause.text}") if defines and number.startswith(_COMPARED) else set()
+
+
+def _stems(prose: str) -> set[str]:
+    return {word[:6] for word in words(prose)}
+
+
+@cache
+def _subjects(chapter: str) -> set[str]:
+    """Returns the stems of the headings of a chapter or an annex, of its first paragraphs and of its bold leads."""
+    own = {number: c for number, c in own_clauses().items() if number == chapter or number.startswith(f"{chapter}.")}
+    leads = [lead for clause in own.values() for lead in (clause.title, *re.findall(r"\*\*(.+?)\*\*", clause.text))]
+    return _stems(" ".join([own[chapter].text, *leads]))
 
 
 @cache
@@ -140,11 +158,28 @@ def _wanted(item: str) -> set[str]:
     return _requirement_words(item) if item in own_requirements() else steps().get(item, set())
 
 
+def _paragraph(lines: list[str], number: int) -> str:
+    """Returns the comment, or else the lines up to empty ones, around a line."""
+    comment = lines[number].lstrip().startswith("#")
+
+    def belongs(line: str) -> bool:
+        return line.lstrip().startswith("#") if comment else bool(line.strip())
+
+    above, below = itertools.takewhile(belongs, lines[number - 1 :: -1] if number else []), lines[number + 1 :]
+    return "\n".join([*above, lines[number], *itertools.takewhile(belongs, below)])
+
+
+def _off_subject(items: str, paragraph: str) -> bool:
+    """Whether a paragraph cites one whole chapter or annex, says something, and shares no word with it."""
+    own = _stems(paragraph.replace(items, ""))
+    return items in own_clauses() and "." not in items and len(own) > 1 and not own & _subjects(items)
+
+
 def faults(path: str, source: str, *, compare: bool = True) -> Iterator[str]:
     """Yields the faults of the citations of a file. compare: also whether they share words with the code."""
     lines = source.splitlines()
     units = _units(path, source) if compare else lines
-    for number, line in enumerate(lines):
+    for number, line in enumerate(_OTHERS.sub("", line) for line in lines):
         for match in re.finditer(r"\b10\.1,? (?:in )?steps? \d", line):
             yield f"{path}:{number + 1}: {match[0]}: the steps of 10.1 have names"
         matches = {match.end(): match for match in (*_MARK.finditer(line), *_CITATION.finditer(line))}
@@ -154,6 +189,8 @@ def faults(path: str, source: str, *, compare: bool = True) -> Iterator[str]:
                 if compare and units[number].strip() != line.strip()
                 else set()
             )
+            if path != "SPEC.md" and _off_subject(match[1], _paragraph(lines, number)):
+                yield f"{path}:{number + 1}: {match[1]} is not about this text"
             clause, items = "", list(_expanded(match[1]))
             # A range is compared as a whole.
             whole = set().union(*map(_wanted, items)) if " to " in match[1] else set()

@@ -14,8 +14,9 @@ from functools import cache
 import numpy as np
 
 from conformance.manifest import Accepted, Manifest, Rejected, Vector
-from refcodec.inspect.elements import Row, rows
-from refcodec.inspect.meaning import meaning
+from refcodec.bitstream.syntax import Element
+from refcodec.inspect.elements import outline_of, rows
+from refcodec.inspect.meaning import Meaning, meaning
 from refcodec.inspect.specification import fields
 
 _KIND = re.compile(r"([fiu])(8|16|32|64)(?:\[.+\])?")
@@ -72,22 +73,20 @@ class Range:
 _meaning = cache(meaning)
 
 
-def _name(row: Row, section: str, profile: str) -> str:
+def _name(found: Meaning, section: str, profile: str) -> str:
     """Returns the name of an element in the report. section: the type of the directory entry that it is in."""
-    found = _meaning(row.path)
     name = f"{found.table}.{found.field}" if found.table else found.words
     if name == "DirectoryEntry.mode":
         return f"{name} of {section}"
     if name in _BY_PROFILE or (found.table == "Dimensions" and found.field != "reserved"):
         return f"{name} of {profile}"
-    if name.startswith(("weights", "its biases")):
-        if "14.3" in found.clauses:
-            return "numbers of rendering networks"
-        return "weights of integer networks" if name.startswith("weights") else "biases of integer networks"
+    if "R6.8-3" in found.requirements:
+        kind = "weights" if name.startswith("weights") else "biases"
+        return f"{kind} of integer networks" if "7.2" in found.clauses else "numbers of rendering networks"
     return name
 
 
-def values(row: Row, data: bytes) -> np.ndarray | None:
+def values(row: Element, data: bytes) -> np.ndarray | None:
     """Returns the numbers of an element as int64 or uint64, floats as integers in their order. None: it has no number.
 
     The order is that of the finite numbers: those of -1, -0, 0 and 1 increase, and -0 and 0 are the same.
@@ -108,7 +107,7 @@ def values(row: Row, data: bytes) -> np.ndarray | None:
 
 def _of_vector(vector: Vector, data: bytes, found: dict[str, Range]) -> None:
     """Adds the elements of a vector."""
-    expected, section, profile = vector.expectation, "", ""
+    expected, section, profile, model = vector.expectation, "", "", outline_of(data).render_model
     starts: dict[str, int] = {}
     code, offset = (expected.code, expected.offset) if isinstance(expected, Rejected) else (0, -1)
     for row in rows(data):
@@ -122,7 +121,7 @@ def _of_vector(vector: Vector, data: bytes, found: dict[str, Range]) -> None:
         numbers = values(row, data)
         if numbers is None or not len(numbers):
             continue
-        name = _name(row, section, profile)
+        name = _name(_meaning(row.path, model), section, profile)
         own = found.setdefault(name, Range(row.kind.partition("[")[0]))
         # An error of a state has the offset of its substream, and that of a weight the offset of its row (10.3).
         nearby = name == "Substream.state" or name.endswith("integer networks")

@@ -8,14 +8,16 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Iterator
-from dataclasses import astuple
+
+import msgspec
 
 from conformance.manifest import Manifest, Rejected, load
 from refcodec.bitstream.errors import REGISTRY
 from refcodec.inspect.specification import clauses, own_requirements, requirements, text
+from refcodec.inspect.trail import CodePlace, Record, Trail
 
 from .made import ROOT, Made
-from .trail import DECODERS, Place, Trail, by_name, trails
+from .trail import DECODERS, by_name, trails
 
 FOLDER = ROOT / "conformance"
 HEAD = f"""# Requirements
@@ -30,8 +32,8 @@ and flag.
 | requirement | what | {" | ".join(DECODERS)} | tests | vectors |
 |{"---|" * (len(DECODERS) + 4)}
 """
-# The number of vectors that trail.json lists for a requirement, at most.
-SHOWN = 12
+# The number of vectors that trail.json lists for a requirement and for a clause, at most.
+SHOWN = {"requirements": 12, "clauses": 30}
 # Requirements that no single file and result can test, with the reason.
 NO_VECTOR = {
     **dict.fromkeys(
@@ -43,7 +45,7 @@ NO_VECTOR = {
 }
 
 
-def _link(place: Place) -> str:
+def _link(place: CodePlace) -> str:
     """Returns a link to a place that works on a code host."""
     file = place.path.rpartition("/")[2].removesuffix(".py")
     return f"[{file}.{place.name}](../{place.path})".replace("decoder.c.", "")
@@ -68,9 +70,9 @@ def document(spec: str, found: dict[str, Trail]) -> str:
     if missing := holes(found):
         raise SystemExit(f"holes in the matrix: {'; '.join(missing)}")
     known, rows = clauses(spec), []
-    for name, trail in found.items():
-        clause = known[trail.requirement.clause]
-        cells = [f"[{name}](../SPEC.md#{clause.anchor})", trail.requirement.text]
+    for name, r in requirements(spec).items():
+        trail = found[name]
+        cells = [f"[{name}](../SPEC.md#{known[r.clause].anchor})", r.text]
         cells += ["<br>".join(map(_link, trail.code[d])) if d in trail.code else "-" for d in DECODERS]
         cells.append("<br>".join(map(_link, trail.tests)))
         cells.append(NO_VECTOR.get(name, str(len(trail.vectors))))
@@ -98,19 +100,17 @@ def vector_lists(suite: Manifest) -> Iterator[str]:
             yield f"{term}:{name}\t{' '.join(vectors.get(name, []))}"
 
 
-def record(found: dict[str, Trail]) -> str:
-    """Returns trail.json, with the places, the number of vectors and the first vectors of each requirement."""
-    entries = {
-        name: {
-            "code": {decoder: [astuple(p) for p in places] for decoder, places in trail.code.items()},
-            "tests": [astuple(p) for p in trail.tests],
-            "count": len(trail.vectors),
-            "vectors": trail.vectors[:SHOWN],
+def record(found: Record) -> str:
+    """Returns trail.json, with the places, the number of vectors and the first vectors of each trail."""
+    parts = []
+    for part, trails_of in msgspec.structs.asdict(found).items():
+        cut = {
+            name: msgspec.structs.replace(trail, vectors=trail.vectors[: SHOWN[part]])
+            for name, trail in trails_of.items()
         }
-        for name, trail in found.items()
-    }
-    lines = [f" {json.dumps(name)}: {json.dumps(entry)}" for name, entry in entries.items()]
-    return "{\n" + ",\n".join(lines) + "\n}\n"
+        lines = [f"  {json.dumps(name)}: {msgspec.json.encode(trail).decode()}" for name, trail in cut.items()]
+        parts.append(f' "{part}": {{\n' + ",\n".join(lines) + "\n }")
+    return "{\n" + ",\n".join(parts) + "\n}\n"
 
 
 def made() -> Iterator[Made]:
@@ -118,5 +118,5 @@ def made() -> Iterator[Made]:
     spec, suite = text(), load()
     found = trails(requirements(spec), suite)
     list(vector_lists(suite))
-    yield Made.text(FOLDER / "REQUIREMENTS.md", document(spec, found))
+    yield Made.text(FOLDER / "REQUIREMENTS.md", document(spec, found.requirements))
     yield Made.text(ROOT / "refcodec" / "data" / "trail.json", record(found))

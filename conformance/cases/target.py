@@ -15,7 +15,8 @@ from refcodec.bitstream.directory import Section
 from refcodec.bitstream.header import PROLOGUE_BYTES, SIGNATURE
 from refcodec.bitstream.planes import PLANE_NAMES
 from refcodec.bitstream.source import pad4
-from refcodec.inspect.elements import Row, rows
+from refcodec.bitstream.syntax import Element
+from refcodec.inspect.elements import rows
 
 from .checksums import Depth, layout, repair, resized
 
@@ -75,7 +76,7 @@ class Target:
         self.header_end = PROLOGUE_BYTES + int.from_bytes(data[12:16], "little")
 
     @cached_property
-    def elements(self) -> dict[str, Row]:
+    def elements(self) -> dict[str, Element]:
         """All elements by path, as in `refcodec inspect --hex`."""
         return {row.path: row for row in rows(self.data)}
 
@@ -83,7 +84,7 @@ class Target:
         """Whether there is an element with a path."""
         return path in self.elements or f"header.{path}" in self.elements
 
-    def element(self, path: str) -> Row:
+    def element(self, path: str) -> Element:
         """Returns an element by its path; `header.` may be omitted. Raises KeyError."""
         return self.elements.get(path) or self.elements[f"header.{path}"]
 

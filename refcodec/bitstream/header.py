@@ -57,7 +57,7 @@ class RenderInfo:
     near_plane, distance_unit: world units.
     low_pass: square pixels.
     colour_primaries, transfer_characteristics: code points of ITU-T H.273. 1 and 13 are BT.709 and sRGB.
-    render_model: 0 if chapter 14 draws the scene.
+    render_model: how the scene is drawn. 0: view-dependent (14.3), 1: static (9.4, 14.6).
     """
 
     background: tuple[int, int, int] = (0, 0, 0)

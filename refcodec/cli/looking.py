@@ -136,13 +136,9 @@ def _inspect_bytes(arguments: argparse.Namespace) -> int:
 
 
 def _explain(arguments: argparse.Namespace) -> int:
-    from ..inspect.explain import UnknownKeyError, explain
+    from ..inspect.explain import explain
 
-    try:
-        texts = [list(explain(key)) for key in arguments.keys]
-    except UnknownKeyError as error:
-        raise UsageError(error.args[0]) from None
-    print("\n\n".join("\n".join(lines) for lines in texts))
+    print("\n".join(explain(*arguments.keys)))
     return statuses.DONE
 
 
@@ -158,10 +154,12 @@ def add(commands: Any) -> None:
             "explain R6.10-2",
             "explain 7.5.4",
             "explain CARM",
-            "explain 'chunk_table.entry[0].mask_length'",
+            "explain 'index.entry[0].kept_count'",
+            "explain camera length",
         ],
-        "KEY is an error code or name, a requirement or clause of SPEC.md, or the path of an element as inspect\n"
-        "prints it.",
+        "KEY is an error code or name, a requirement or clause of SPEC.md, the path of an element as inspect prints\n"
+        "it, a part, section type or field of a file, or a term, function, constant or word of SPEC.md. Words that\n"
+        "are no keys by themselves are looked up together.",
     )
     explain.add_argument("keys", nargs="+", metavar="KEY", help="what to explain, such as 432 or 7.5.4")
     inspect = add_command(

@@ -9,7 +9,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from ..bitstream.errors import BitstreamError
-from .elements import Bytes, Row, rows
+from ..bitstream.syntax import Element
+from .elements import Bytes, outline_of, rows
 from .explain import element_lines, requirement_lines
 from .meaning import meaning
 
@@ -20,7 +21,7 @@ _FOLDED_BYTES = 8
 _NEAR_ROWS = 6
 
 
-def value_text(row: Row) -> str:
+def value_text(row: Element) -> str:
     """Returns the value of an element. It is empty for bytes, and of a payload it is the number of bytes."""
     if row.value is None:
         return f"{row.end - row.start} bytes"
@@ -33,7 +34,7 @@ def value_text(row: Row) -> str:
     return str(row.value)
 
 
-def hex_text(data: Bytes, row: Row) -> str:
+def hex_text(data: Bytes, row: Element) -> str:
     """Returns the bytes of an element, folded to the first ones if there are many."""
     folded = row.end - row.start > _HEX_BYTES
     shown = data[row.start : row.start + _FOLDED_BYTES if folded else row.end].hex(" ")
@@ -44,12 +45,12 @@ def _error_line(error: BitstreamError) -> str:
     return f"{error.offset:08x}  ^^ error {error.kind.code} {error.kind.name}: {error}"
 
 
-def _rows_near(data: bytes, near: int | None) -> Iterator[Row]:
+def _rows_near(data: bytes, near: int | None) -> Iterator[Element]:
     """Yields all rows, or those of the element at the byte `near` and of a few elements before and after it."""
     if near is None:
         yield from rows(data)
         return
-    before: deque[Row] = deque(maxlen=_NEAR_ROWS)
+    before: deque[Element] = deque(maxlen=_NEAR_ROWS)
     after = _NEAR_ROWS
     for row in rows(data):
         # A byte past the end selects the last element.
@@ -68,9 +69,10 @@ def about_lines(data: bytes, near: int) -> Iterator[str]:
     """Yields lines about the element at a byte: its meaning, clauses and requirements, and a command for more."""
     row = next((row for row in rows(data) if row.end > min(near, len(data) - 1)), None)
     if row is not None:
+        found = meaning(row.path, outline_of(data).render_model)
         yield ""
-        yield from element_lines(row.path)
-        yield from requirement_lines(meaning(row.path))
+        yield from element_lines(row.path, found)
+        yield from requirement_lines(found)
         yield f"  more         refcodec explain {shlex.quote(row.path)}"
 
 

@@ -24,6 +24,7 @@ from ..bitstream.index import ENTRY, ENTRY_BYTES, entries_start
 from ..bitstream.planes import PLANE_NAMES
 from ..bitstream.positions import PACKED
 from ..bitstream.source import FileBytes, pad4
+from ..bitstream.syntax import Element
 
 # A file: its bytes, or an object that reads slices of them.
 Bytes = bytes | FileBytes
@@ -32,21 +33,7 @@ _STRUCT_BYTES_MAX = 1 << 16
 
 
 @dataclass(frozen=True)
-class Row:
-    """A syntax element in a file.
-
-    start, end: data[start:end] are its bytes. path: its name. kind: its type. value: None for a payload.
-    """
-
-    start: int
-    end: int
-    path: str
-    kind: str
-    value: Any = None
-
-
-@dataclass(frozen=True)
-class Place:
+class SectionPlace:
     """The place of a section, cut to the file.
 
     name: that in paths. end: without the padding. stop: the start of the next section.
@@ -74,10 +61,10 @@ class Outline:
     header: Any
     header_end: int
     dimensions: Dimensions | None
-    sections: list[Place]
+    sections: list[SectionPlace]
     stated_end: int
 
-    def place(self, kind: bytes) -> Place | None:
+    def place(self, kind: bytes) -> SectionPlace | None:
         """Returns the first section of a type, or None."""
         return next((place for place in self.sections if place.type == kind), None)
 
@@ -88,20 +75,25 @@ class Outline:
         return place.mode if place else 0
 
     @property
+    def render_model(self) -> int | None:
+        """The render model (SPEC 6.5), or None without a header."""
+        return self.header.render_info.render_model if self.header else None
+
+    @property
     def entries_start(self) -> int:
         """The bytes of the index before its entries (SPEC 5.11)."""
         return entries_start(self.header.dimensions.offset_count, self.index_mode)
 
 
-def parse_elements(name: str, data: Bytes, start: int, end: int, path: str) -> tuple[list[Row], Any]:
+def parse_elements(name: str, data: Bytes, start: int, end: int, path: str) -> tuple[list[Element], Any]:
     """Returns the elements of one struct in data[start:end], as far as the bytes go, and the struct if complete."""
     stream = io.BytesIO(data[start : min(end, start + _STRUCT_BYTES_MAX)])
-    elements: list[syntax.Element] = []
+    elements: list[Element] = []
     try:
         value = syntax.schema(name).parse_stream(stream, at=[path], elements=elements)
     except cs.ConstructError:
         value = None
-    return [Row(start + e.start, start + e.end, e.path, e.kind, e.value) for e in elements], value
+    return [Element(e.path, e.kind, start + e.start, start + e.end, e.value) for e in elements], value
 
 
 def outline_of(data: Bytes) -> Outline:
@@ -117,13 +109,15 @@ def outline_of(data: Bytes) -> Outline:
     for number, entry in enumerate(header.directory):
         name = section_name(entry.type, number)
         last, stop = at + entry.length, at + pad4(entry.length)
-        sections.append(Place(entry.type, entry.mode, name, *(min(len(data), place) for place in (at, last, stop))))
+        sections.append(
+            SectionPlace(entry.type, entry.mode, name, *(min(len(data), place) for place in (at, last, stop)))
+        )
         at = stop
     dimensions = dimensions_of(header.dimensions) if header.dimensions.slice_width else None
     return Outline(header, end, dimensions, sections, at)
 
 
-def rows(data: Bytes) -> Iterator[Row]:
+def rows(data: Bytes) -> Iterator[Element]:
     """Yields the elements of a file in file order. They cover every byte of any input."""
     outline = outline_of(data)
     at = 0
@@ -131,35 +125,34 @@ def rows(data: Bytes) -> Iterator[Row]:
         yield row
         at = row.end
     if at < len(data):
-        yield Row(at, len(data), "bytes that no element uses", "bytes")
+        yield Element("file, unused", "bytes", at, len(data), None)
 
 
-def rows_of(data: Bytes, outline: Outline) -> Iterator[Row]:
+def rows_of(data: Bytes, outline: Outline) -> Iterator[Element]:
     """Yields the elements of the prologue, the header and the sections of an outline."""
     yield from parse_elements("Prologue", data, 0, PROLOGUE_BYTES, "prologue")[0]
     if outline.header_end > PROLOGUE_BYTES:
         header = parse_elements("Header", data, PROLOGUE_BYTES, outline.header_end, "header")[0]
         yield from header
         used = header[-1].end if header else PROLOGUE_BYTES
-        yield from _payload(used, outline.header_end, outline.header_end, "header, bytes that no field uses", "bytes")
+        yield from _payload(used, outline.header_end, outline.header_end, "header, unused", "bytes")
     for place in outline.sections:
         used = place.start
         for row in section_rows(data, outline, place):
             yield row
             used = row.end
-        unused = place.name if used == place.start else f"{place.name}, bytes that no element uses"
-        yield from _payload(used, place.end, place.end, unused, "bytes")
+        yield from _payload(used, place.end, place.end, f"{place.name}, unused", "bytes")
         yield from _payload(place.end, place.stop, place.stop, f"{place.name}, padding", "padding")
 
 
-def _payload(start: int, stop: int, end: int, path: str, kind: str) -> Iterator[Row]:
-    """Yields one row for data[start:stop], cut at `end`, or none if it is empty."""
+def _payload(start: int, stop: int, end: int, path: str, kind: str) -> Iterator[Element]:
+    """Yields one element without a value, for data[start:stop] cut at `end`, or none if it is empty."""
     stop = min(stop, end)
     if start < stop:
-        yield Row(start, stop, path, kind)
+        yield Element(path, kind, start, stop, None)
 
 
-def section_rows(data: Bytes, outline: Outline, place: Place) -> Iterator[Row]:
+def section_rows(data: Bytes, outline: Outline, place: SectionPlace) -> Iterator[Element]:
     """Yields the elements of a section, without the padding after it."""
     h, start, end = outline.header, place.start, place.end
     if place.type == FRAME:
@@ -180,7 +173,7 @@ def section_rows(data: Bytes, outline: Outline, place: Place) -> Iterator[Row]:
         for i in range(min(contexts, (end - start) // 2)):
             at = start + 2 * i
             value = int.from_bytes(data[at : at + 2], "little")
-            yield Row(at, at + 2, f"index.mask_model.frequency[{i}]", "u16", value)
+            yield Element(f"index.mask_model.frequency[{i}]", "u16", at, at + 2, value)
         first = start + pad4(2 * contexts)
         yield from _payload(min(end, start + 2 * contexts), first, end, "index.mask_model.padding", "padding")
         if outline.index_mode:
@@ -195,7 +188,7 @@ def section_rows(data: Bytes, outline: Outline, place: Place) -> Iterator[Row]:
         yield from _payload(start, end, end, place.name, "bytes")
 
 
-def _list_rows(data: Bytes, place: Place) -> Iterator[Row]:
+def _list_rows(data: Bytes, place: SectionPlace) -> Iterator[Element]:
     """Yields the elements of an ancillary section of a known type."""
     entry = ancillary.TYPES[place.type]
     item_rows, fields = parse_elements(entry.head, data, place.start, place.end, place.name)
@@ -209,7 +202,7 @@ def _list_rows(data: Bytes, place: Place) -> Iterator[Row]:
         at = item_rows[-1].end
 
 
-def _weight_rows(data: Bytes, outline: Outline, place: Place) -> Iterator[Row]:
+def _weight_rows(data: Bytes, outline: Outline, place: SectionPlace) -> Iterator[Element]:
     field_rows, scales = parse_elements("WeightScales", data, place.start, place.end, "weights")
     yield from field_rows
     if scales is None or outline.dimensions is None:
@@ -229,13 +222,13 @@ def _weight_rows(data: Bytes, outline: Outline, place: Place) -> Iterator[Row]:
         yield from _substream_rows(data, at, end, 1 << outline.header.attribute_lanes_log2, "weights")
 
 
-def _substream_rows(data: Bytes, start: int, end: int, lanes: int, path: str) -> Iterator[Row]:
+def _substream_rows(data: Bytes, start: int, end: int, lanes: int, path: str) -> Iterator[Element]:
     """Yields the elements of a substream (SPEC 5.15). Missing bytes are omitted."""
     head_rows, head = parse_elements("Substream", data, start, end, path)
     yield from head_rows
     if head is None:
         at = head_rows[-1].end if head_rows else start
-        yield from _payload(at, end, end, path, "bytes")
+        yield from _payload(at, end, end, f"{path}, cut off", "bytes")
         return
     at = head_rows[-1].end
     words_at = min(end, at + 4 * lanes)
@@ -255,7 +248,7 @@ def read_index(data: Bytes, outline: Outline) -> NDArray[np.void]:
     return np.frombuffer(data[at : at + count * ENTRY_BYTES], ENTRY)
 
 
-def _chunk_rows(data: Bytes, outline: Outline, place: Place) -> Iterator[Row]:
+def _chunk_rows(data: Bytes, outline: Outline, place: SectionPlace) -> Iterator[Element]:
     h, at = outline.header, place.start
     for number, entry in enumerate(read_index(data, outline)):
         if at == place.end:
@@ -274,5 +267,5 @@ def _chunk_rows(data: Bytes, outline: Outline, place: Place) -> Iterator[Row]:
                 yield from _substream_rows(data, used, stop, lanes, path)
             yield from _payload(stop, used + pad4(length), end, f"{path}, padding", "padding")
             used = min(end, used + pad4(length))
-        yield from _payload(used, end, end, f"chunk[{number}], bytes that no element uses", "bytes")
+        yield from _payload(used, end, end, f"chunk[{number}], unused", "bytes")
         at = end

@@ -43,6 +43,7 @@ def anchor(heading: str) -> str:
     return re.sub(r"[^a-z0-9 _-]", "", heading.lower()).replace(" ", "-")
 
 
+@cache
 def clauses(spec: str) -> dict[str, Clause]:
     """Returns the clauses by number, in the order of SPEC.md."""
     # A line that begins with # in a code block is a Python comment, not a heading.
@@ -56,6 +57,7 @@ def clauses(spec: str) -> dict[str, Clause]:
     return listed
 
 
+@cache
 def fields(spec: str) -> dict[str, tuple[str, str]]:
     """Returns (type, meaning) of each field of the syntax tables of chapter 5, by table.field."""
     listed = {}
@@ -71,6 +73,7 @@ def unfolded(spec: str) -> str:
     return re.sub(r"^- \[[RDGE].*(?:\n  \S.*)+", lambda item: item[0].replace("\n ", ""), spec, flags=re.MULTILINE)
 
 
+@cache
 def requirements(spec: str) -> dict[str, Requirement]:
     """Returns the requirements by identifier, in the order of SPEC.md."""
     pattern = rf"^- \[([RDGE]({CLAUSE})-\d+)\] (.*)$"
@@ -82,6 +85,7 @@ def requirements(spec: str) -> dict[str, Requirement]:
     return listed
 
 
+@cache
 def terms(spec: str) -> dict[str, str]:
     """Returns the definitions of clause 3.2 by term, in small letters. A definition may have several terms."""
     items = re.findall(r"^- (\*\*.*(?:\n  .*)*)", clauses(spec)["3.2"].text, re.MULTILINE)
@@ -92,9 +96,17 @@ def terms(spec: str) -> dict[str, str]:
     }
 
 
+@cache
 def functions(spec: str) -> dict[str, str]:
     """Returns the clause of each function of the blocks of SPEC.md, by name."""
     return {name: c.number for c in clauses(spec).values() for name in re.findall(r"^def (\w+)", c.text, re.MULTILINE)}
+
+
+@cache
+def constants(spec: str) -> dict[str, tuple[str, str, str]]:
+    """Returns (value, clause, meaning) of each constant of clause 2.5, by name."""
+    rows = re.findall(r"^\| ([A-Z][A-Z0-9_]+) \| (.+?) \| (.+?) \| (.+?) \|$", clauses(spec)["2.5"].text, re.MULTILINE)
+    return {name: (value, clause, words) for name, value, clause, words in rows}
 
 
 @cache

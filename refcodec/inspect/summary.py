@@ -146,20 +146,28 @@ def document(data: Bytes, verdict: Verdict | BitstreamError | None, heads: bool 
     return facts
 
 
+class _Streamed(list[Any]):
+    """A list whose items are created while they are written: the encoder with an indent iterates over it."""
+
+    def __init__(self, items: ChunkSizes) -> None:
+        super().__init__()
+        self._items = items
+
+    def __len__(self) -> int:
+        return len(self._items)
+
+    def __iter__(self) -> Iterator[Any]:
+        return iter(self._items)
+
+
 def json_lines(facts: dict[str, Any]) -> Iterator[str]:
     """Yields the lines of the facts of `document` as one JSON text."""
-    # Only the facts themselves have a field of this name with one space before it.
-    mark = ' "chunks": ['
-    chunks: ChunkSizes | tuple[()] = facts.get("chunks", ())
-    for line in json.dumps({**facts, "chunks": []} if chunks else facts, indent=1, default=list).splitlines():
-        if not chunks or not line.startswith(mark):
-            yield line
-            continue
-        yield mark
-        for number, chunk in enumerate(chunks, start=1):
-            lines = json.dumps(chunk, indent=1).replace("\n", "\n  ")
-            yield f"  {lines}{',' if number < len(chunks) else ''}"
-        yield f" {line.removeprefix(mark)}"
+    line = ""
+    for part in json.JSONEncoder(indent=1, default=_Streamed).iterencode(facts):
+        *whole, rest = (line + part).split("\n")
+        yield from whole
+        line = rest
+    yield line
 
 
 def summary(facts: dict[str, Any], name: str) -> Iterator[str]:

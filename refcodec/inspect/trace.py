@@ -14,9 +14,10 @@ from ..bitstream.entropy import TraceRow
 from ..bitstream.errors import BitstreamError
 from ..bitstream.positions import POSITION_BYTES
 from ..bitstream.scene import Scene
+from ..bitstream.syntax import Element
 from . import probes as probe
 from .dump import value_text
-from .elements import Row, outline_of, rows_of, section_rows
+from .elements import outline_of, rows_of, section_rows
 
 _FEATURES = "attributes.features["
 
@@ -29,7 +30,7 @@ def trace(data: bytes, write: Callable[[str], object]) -> Parsed:
     """
     write("path\tkind\tmean\tscale\tvalue\n")
     waiting = _trace_parts(data)
-    held: list[Row] = []
+    held: list[Element] = []
 
     def show(end: int) -> None:
         """Writes the elements that start before the byte `end`."""
@@ -122,7 +123,7 @@ class _Text:
         write("".join(probe.lines([probe.step_numbers(known)], chunk.start)))
 
 
-def _trace_parts(data: bytes) -> Iterator[Row]:
+def _trace_parts(data: bytes) -> Iterator[Element]:
     """Yields the elements that are not symbols, in file order. Raw positions are values, one by one."""
     outline = outline_of(data)
     yield from rows_of(data, replace(outline, sections=[]))
@@ -136,9 +137,9 @@ def _trace_parts(data: bytes) -> Iterator[Row]:
                 yield row
 
 
-def _position_rows(data: bytes, part: Row, anchor: int) -> Iterator[Row]:
+def _position_rows(data: bytes, part: Element, anchor: int) -> Iterator[Element]:
     """Yields raw positions of a chunk, value by value. anchor: its first one."""
     values = np.frombuffer(data, "<f2", (part.end - part.start) // 2, part.start)
     for i, value in enumerate(values):
         at = part.start + 2 * i
-        yield Row(at, at + 2, f"positions[{anchor + i // 3},{i % 3}]", "f16", value)
+        yield Element(f"positions[{anchor + i // 3},{i % 3}]", "f16", at, at + 2, value)

@@ -13,9 +13,6 @@ from numpy.typing import NDArray
 F64 = NDArray[np.float64]
 Ticks = list[tuple[float, str]]
 
-# The most bars of a histogram.
-_BARS = 160
-
 
 @dataclass(frozen=True)
 class Plot:
@@ -75,20 +72,9 @@ def _ticks(low: float, high: float, most: int) -> list[tuple[float, str]]:
     return [(number, f"{number:,.{digits}f}") for number in numbers]
 
 
-def bars(
-    title: str,
-    values: Sequence[float],
-    labels: Sequence[str],
-    x_label: str,
-    y_label: str,
-    expected: Sequence[float] = (),
-) -> Plot:
-    """Returns a plot of bars from 0 up.
-
-    labels: those below the bars; some are left out where there are many. expected: none, or a value for each bar, drawn
-    as a line across it.
-    """
-    most = max([*values, *expected, 1e-9])
+def bars(title: str, values: Sequence[float], labels: Sequence[str], x_label: str, y_label: str) -> Plot:
+    """Returns a plot of bars from 0 up. labels: those below the bars; some are left out where there are many."""
+    most = max([*values, 1e-9])
     step = _step(most, 5)
     top = step * math.ceil(most / step - 1e-9)
     each = 1 / max(1, len(values))
@@ -104,51 +90,7 @@ def bars(
             _bar((i + 0.1) * each, 0.8 * each, value / top, f"{label}: {value:,.4g}")
             for i, (value, label) in enumerate(zip(values, labels, strict=True))
         ],
-        [("", _path([((i + 0.1) * each, y / top), ((i + 0.9) * each, y / top)])) for i, y in enumerate(expected)],
     )
-
-
-def histogram(title: str, counts: NDArray[np.int64], curve: F64, x_label: str, y_label: str) -> Plot:
-    """Returns a plot of the frequencies of values as bars, and of those that a model expected as a line.
-
-    The vertical axis is logarithmic, and begins at one half. Values are joined where there are too many for bars.
-
-    counts: int64 [2 n + 1], of the values -n to n. curve: float64 of the same shape.
-    """
-    limit = len(counts) // 2
-    seen = np.flatnonzero((counts > 0) | (curve >= 0.5)) - limit
-    # At least three values, so that a single bar does not fill the plot.
-    first, last = int(min(seen.min(initial=limit), -1)), int(max(seen.max(initial=-limit), 1))
-    join = -(-(last + 1 - first) // _BARS)
-    edges = first + join * np.arange(-(-(last + 1 - first) // join) + 1)
-    met, expected = (_joined(each, edges + limit) / join for each in (counts.astype(np.float64), curve))
-    highest = max(float(met.max()), float(expected.max()), 10.0)
-    decades = math.ceil(math.log10(highest) - 1e-9)
-    low = math.log10(0.5)
-    wide = 1 / len(met)
-
-    def up(value: float) -> float:
-        return max(0.0, (math.log10(max(value, 0.5)) - low) / (decades - low))
-
-    return Plot(
-        title,
-        x_label + (f"; a bar is the mean of {join}" if join > 1 else ""),
-        y_label,
-        [(_y(up(10.0**d)), f"{10**d:,}") for d in range(decades + 1)],
-        [(_x((value - first + 0.5) / join * wide), text) for value, text in _ticks(first, last, min(9, last - first))],
-        [
-            _bar(i * wide, wide, max(up(value), 1 / Plot.up_units), f"{edge}: {value:,.4g}")
-            for i, (value, edge) in enumerate(zip(met.tolist(), edges.tolist(), strict=False))
-            if value
-        ],
-        [("", _path([((i + 0.5) * wide, up(value)) for i, value in enumerate(expected.tolist())]))],
-    )
-
-
-def _joined(each: F64, edges: NDArray[np.int64]) -> F64:
-    """Returns the sums between edges of values at 0, 1 and so on. Edges may lie outside."""
-    total = np.concatenate([[0.0], np.cumsum(each)])
-    return np.maximum(np.diff(total[np.clip(edges, 0, len(each))]), 0.0)
 
 
 def lines(title: str, series: Mapping[str, Sequence[tuple[float, float]]], x_label: str, y_label: str) -> Plot | None:

@@ -1,4 +1,4 @@
-"""Clause 14.3: from a scene and a camera to Gaussians, in floating point."""
+"""Clauses 14.3 and 14.6: from a view-dependent or static scene and a camera to Gaussians, in floating point."""
 
 from __future__ import annotations
 

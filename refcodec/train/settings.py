@@ -416,7 +416,7 @@ class TrainSettings:
     masks: MaskSettings = MaskSettings()
     rate: RateSettings = RateSettings()
     sampling: SamplingSettings = SamplingSettings()
-    # Twelve features instead of the paper's 50: SPEC.md's Annex C has the results of both in training runs of minutes.
+    # Twelve features instead of the paper's 50, which gain only in large files of some scenes (docs/method.md).
     entropy: EntropySettings = EntropySettings(slices=(2, 2, 4, 4))
     quantisation: QuantisationSettings = QuantisationSettings()
     weights: WeightSettings = WeightSettings()

@@ -300,12 +300,13 @@ def sections(draw: st.DrawFn) -> tuple[Ancillary, ...]:
 @settings(max_examples=60)
 @given(sections())
 def test_what_is_wrong_is_passed_over(decoder: Decoder, drawn: tuple[Ancillary, ...]) -> None:
+    """SPEC 5.16, 5.16.1 and 5.17: what obeys them is read, whatever is wrong besides."""
     assert_ancillary(decoder, codec.emit(replace(SCENES["smallest"], ancillary=drawn)))
 
 
 @pytest.mark.parametrize(("length", "read"), [(72, 3), (60, 2), (56, 1), (73, 1), (200, 1), (0xFFFFFFFC, 1), (0, 1)])
 def test_cameras_state_their_length(decoder: Decoder, length: int, read: int) -> None:
-    """A camera may have more fields than are known. A wrong length ends the section: here that of camera 1."""
+    """SPEC 5.17.1: a camera may have more fields. A wrong length ends the section: here that of camera 1."""
     named = [cameras.emit_cameras([NamedCamera(name)])[4:] for name in ("zero", "one!", "two!")]
     assert {len(camera) for camera in named} == {64}
     content = struct.pack("<HH", 3, 0) + named[0] + struct.pack("<I", length) + named[1][4:] + bytes(12) + named[2]

@@ -22,9 +22,11 @@ from refcodec.bitstream.codec import emit, parse
 from refcodec.bitstream.metadata import METADATA, emit_metadata
 from refcodec.bitstream.scene import Ancillary
 from refcodec.cli.main import main
-from refcodec.inspect.page import annotated, measures
+from refcodec.inspect.page import file_map, measures
 from refcodec.inspect.summary import document
 
+# The sections that are drawn in parts.
+PARTED = ("frame", "weights", "planes", "index", "data")
 EXAMPLE = Path(__file__).resolve().parents[2] / "vectors" / "tiny-example.c3gs"
 # Elements of HTML that have no end.
 VOID = {"meta", "img", "br", "link", "input"}
@@ -123,7 +125,7 @@ def made(data: bytes, folder: Path, name: str = "scene.c3gs") -> bytes:
 def test_scenes_of_all_kinds_have_a_page(scene, tmp_path: Path) -> None:
     page = Read(made(emit(scene), tmp_path))
     assert page.wrong == []
-    assert page.found["section"] == 7
+    assert page.found["section"] == 6
     assert "nan" not in "".join(page.words.values()).split()
 
 
@@ -147,10 +149,10 @@ def test_the_bytes_are_those_of_the_json(data: bytes, tmp_path: Path) -> None:
         sections = [length for inner, length in page.pieces if not inner]
         assert sections == [section["bytes"] for section in facts["sections"]]
         assert sum(sections) == len(each)
-        # Behind its parts a section has at most its padding.
+        # After its parts a section has at most its padding.
         inner = sum(length for inner, length in page.pieces if inner)
-        split = sum(s["bytes"] for s in facts["sections"] if s["name"] in ("weights", "planes", "index", "data"))
-        assert split - 4 * 3 < inner <= split
+        split = sum(s["bytes"] for s in facts["sections"] if s["name"] in PARTED)
+        assert split - 3 * len(PARTED) <= inner <= split
 
 
 def test_the_bits_are_the_bytes_but_for_heads_and_states(data: bytes, tmp_path: Path) -> None:
@@ -169,7 +171,7 @@ def test_the_bits_are_the_bytes_but_for_heads_and_states(data: bytes, tmp_path: 
     scene = parse(data).scene
     kept = 3 * int(scene.masks.sum())
     symbols = [6 * scene.anchor_count, kept, *(w * scene.anchor_count for w in scene.dimensions.slices)]
-    assert [f"{n:,}" for n in [*symbols, scene.planes.size]] == re.findall(r": ([\d,]+) symbols", page.words["symbols"])
+    assert all(f"{n:,}" in page.words["costs"] for n in [*symbols, scene.planes.size])
     # The attributes of all anchors are scalings, offsets and slices.
     assert sum(page.values["costs"][:-1]) / 8 == pytest.approx(found[-2], abs=0.01)
 
@@ -231,44 +233,10 @@ def test_other_files_are_not_replaced(data: bytes, tmp_path: Path, capsys: pytes
 def test_a_large_scene_is_sampled_and_its_elements_are_cut(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(measures, "SAMPLE_MAX", 70)
     monkeypatch.setattr(measures, "_ROWS", 33)
-    monkeypatch.setattr(annotated, "ROWS_MAX", 50)
+    monkeypatch.setattr(file_map, "ROWS_MAX", 50)
     scene = random_scene(4, 300, chunk_size=7)
     page = Read(made(emit(replace(scene, ancillary=(cameras(4),))), tmp_path))
     assert "Every 5th anchor is drawn, 60 of them." in page.words["anchors"]
-    assert "Every 5th anchor is counted." in page.words["masks"]
     assert "The 43 chunks are drawn without their parts." in page.words["map"]
     assert "are left out" in page.words["bytes"]
     assert page.found["tr"] < 50 * 8 + 60
-
-
-def test_kept_offsets_by_the_model() -> None:
-    """SPEC 7.6: each mask with its probability, bit by bit."""
-    from refcodec.inspect.page.anchors import kept_by_model  # noqa: PLC0415
-
-    scene = random_scene(4, 5, replace(TINY_DIMENSIONS, offset_count=4))
-    wanted = np.zeros(5)
-    for mask in range(16):
-        chance, kept = 1.0, 0
-        for k in range(4):
-            keep = int(scene.mask_model[k * (k + 1) // 2 + kept]) / 2**14
-            bit = mask >> k & 1
-            chance, kept = chance * (keep if bit else 1 - keep), kept + bit
-        wanted[kept] += chance
-    assert kept_by_model(scene) == pytest.approx(wanted)
-
-
-def test_views_are_those_of_a_renderer() -> None:
-    """SPEC 14.2, beside the renderer's own camera."""
-    pytest.importorskip("numba")
-    from refcodec.inspect.page.views import projected  # noqa: PLC0415
-    from refcodec.rendering.camera import default_camera  # noqa: PLC0415
-
-    camera = NamedCamera("c", 80, 60, (70.0, 60.0), (41.0, 28.0), (0.9, 0.1, -0.3, 0.2), (0.2, -0.1, 3.0))
-    points = np.random.default_rng(1).normal(0, 1, (200, 3))
-    found, seen = projected(points, camera, 0.2)
-    same = default_camera(camera)
-    at = points @ same.rotation.T + same.translation
-    wanted = np.array(camera.focal) * at[:, :2] / at[:, 2:] + np.array(camera.principal_point)
-    assert 50 < seen.sum() < 200
-    assert np.allclose(found[seen], wanted[seen])
-    assert (at[seen, 2] > 0.2).all()

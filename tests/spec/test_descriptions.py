@@ -1,4 +1,4 @@
-"""spec/c3gs.ksy: Kaitai Struct reads the vectors as refcodec does. `python -m spec --check` compares it with SYNTAX.
+"""The descriptions and pictures beside SPEC.md are those of its syntax tables; Kaitai Struct reads the vectors.
 
 The compiler is looked for in the folders of NODE_PATH: `npm install kaitai-struct-compiler js-yaml`. Its library at run
 time is `pip install kaitaistruct`.
@@ -7,19 +7,24 @@ time is `pip install kaitaistruct`.
 from __future__ import annotations
 
 import importlib.util
+import json
 import os
 import re
 import shutil
 import subprocess
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from refcodec.bitstream.header import SIGNATURE
+from refcodec.bitstream.limits import PROFILES
 from refcodec.bitstream.syntax import SYNTAX, parse_elements, size_of
-from spec import descriptions
+from refcodec.inspect import specification
 
 ROOT = Path(__file__).resolve().parents[2]
+EXAMPLE = ROOT / "vectors" / "tiny-example.c3gs"
 FOLDERS = [Path(name) for name in os.environ.get("NODE_PATH", "").split(os.pathsep) if name]
 FOLDER = next((f for f in FOLDERS if (f / "kaitai-struct-compiler").exists() and (f / "js-yaml").exists()), None)
 COMPILE = """
@@ -30,19 +35,75 @@ compiler.compile("python", yaml.load(fs.readFileSync(process.argv[1], "utf8")), 
 """
 
 
+SCALARS = {f"{sign}{bits}": f"{kind}{bits // 8}" for sign, kind in (("u", "u"), ("i", "s")) for bits in (8, 16, 32, 64)}
+# Kaitai Struct has no f16: these are its bits.
+SCALARS |= {"f16": "u2", "f32": "f4"}
+LENGTHS = {
+    "lanes": "1 << lanes_log2",
+    "K (K + 1) / 2": "_root.header.dimensions.offset_count * (_root.header.dimensions.offset_count + 1) / 2",
+}
+
+
+def snake(name: str) -> str:
+    return re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).lower()
+
+
+def keys(kind: str) -> dict[str, str]:
+    """Some keys of a field of a type in the description."""
+    item, _, length = kind.rstrip("]").partition("[")
+    if kind == "bytes[8]":
+        return {"contents": f"[{', '.join(f'0x{byte:02x}' for byte in SIGNATURE)}]"}
+    if kind == "padding" or kind.startswith("bytes to "):
+        return {"size": "(4 - _io.pos % 4) % 4"} if kind == "padding" else {"size-eos": "true"}
+    if item == "bytes":
+        return {"size": length}
+    repeat = {"repeat": "expr", "repeat-expr": LENGTHS.get(length, length)} if length else {}
+    return {"type": SCALARS.get(item) or snake(item), **repeat}
+
+
 def test_every_table_and_field_is_described() -> None:
-    text = descriptions.kaitai()
+    """c3gs.ksy has a type for each table, with the types and the meanings of its fields."""
+    text, meanings = (
+        (ROOT / "spec" / "c3gs.ksy").read_text(encoding="utf-8"),
+        specification.fields(specification.text()),
+    )
     types = set(re.findall(r"^  (\w+):$", text, re.MULTILINE))
     for name, fields in SYNTAX.items():
-        own = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).lower()
-        assert own in types
-        body = re.search(rf"^  {own}:\n((?:    .*\n)+)", text, re.MULTILINE)
-        assert body is not None
-        found = re.findall(r"^      - id: (\w+)$", body[1].partition("    seq:\n")[2], re.MULTILINE)
-        assert [f for f in found if f not in ("further", "items")] == [field for field, _ in fields]
-    # Whatever a type is called, there is one.
+        body = re.search(rf"^  {snake(name)}:\n((?:    .*\n)+)", text, re.MULTILINE)
+        assert body is not None, name
+        found = re.split(r"^      - id: ", body[1].partition("    seq:\n")[2], flags=re.MULTILINE)[1:]
+        own = [item for item in found if not item.startswith(("further\n", "items\n"))]
+        for item, (field, kind) in zip(own, fields, strict=True):
+            given = dict(line.strip().split(": ", 1) for line in item.splitlines()[1:])
+            wanted = keys(kind) | {"doc": json.dumps(meanings[f"{name}.{field}"][1], ensure_ascii=False)}
+            assert item.partition("\n")[0] == field
+            assert wanted.items() <= given.items(), (name, field)
     called = {name.partition("(")[0] for name in re.findall(r"^ +type: (\S+)$", text, re.MULTILINE)}
-    assert called - types <= {"str", *descriptions._SCALARS.values()}
+    assert called - types <= {"str", *SCALARS.values()}
+
+
+def test_the_places_of_the_magic_file() -> None:
+    header = parse_elements("Header", EXAMPLE.read_bytes(), size_of("Prologue"))
+    places = {e.path: e.start for e in (*parse_elements("Prologue", EXAMPLE.read_bytes()), *header)}
+    text = (ROOT / "spec" / "c3gs.magic").read_text(encoding="utf-8")
+    names = ("major", "minor", *["profile"] * len(PROFILES), "level", "anchor_count", "chunk_count")
+    assert [int(at) for at in re.findall(r"^>(\d+)", text, re.MULTILINE)] == [places[name] for name in names]
+    assert [f"profile {p.name}" in text for p in PROFILES.values()] == [True] * len(PROFILES)
+    assert SIGNATURE[1:5].decode() in text
+
+
+def test_the_places_in_the_picture_of_the_layout() -> None:
+    text = (ROOT / "spec" / "pictures" / "layout.svg").read_text(encoding="utf-8")
+    shown = Counter(re.findall(r">([^<]+)</text>", text))
+    prologue, chunk = size_of("Prologue"), size_of("Chunk")
+    header = {e.path.partition(".")[0]: e.start for e in parse_elements("Header", EXAMPLE.read_bytes(), prologue)[::-1]}
+    places = [0, prologue, *(header[name] for name in ("position_grid", "render_info", "dimensions"))]
+    places += [*(e.start for e in parse_elements("Chunk", bytes(chunk))[:5]), chunk, 0, 4, size_of("Substream")]
+    for place, count in Counter(map(str, places)).items():
+        assert shown[place] >= count, place
+    for field, kind in (*SYNTAX["Chunk"], *SYNTAX["Substream"]):
+        assert shown[field] > 0, field
+        assert shown[kind] > 0, kind
 
 
 @pytest.mark.slow
