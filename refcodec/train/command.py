@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -21,14 +21,17 @@ from ..folder.uncompressed import Uncompressed, write_uncompressed
 from ..folder.write import write_folder
 from ..photographs.photographs import PhotographSet
 from .continued import continued_settings
+from .estimate import estimate
 from .fit_input import Given
 from .log import Log, Logging
 from .looks import psnr
 from .messages import opening, shown
 from .settings import TrainSettings
 from .settings_file import document
+from .stage import Stage
 from .state import Keeper, restore, write_somewhere
 from .trainer import Trainer
+from .views import show
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,23 +53,24 @@ def train(
     settings: TrainSettings,
     output: Path,
     *,
-    threads: int,
-    device: str,
-    resume: bool,
-    progress: bool,
+    threads: int | None = None,
+    device: str = "cpu",
+    resume: bool = False,
+    progress: bool = False,
     keep_state: bool = False,
     log: Log | None = None,
     metadata: Mapping[str, str] | None = None,
     given: Given | None = None,
     up_axis: int | None = None,
+    stages: Sequence[Stage] = (),
 ) -> Trained:
     """Trains, and writes the scene folder and training.json. Prints the opening line on stderr.
 
-    threads: those of the rasteriser. The rest uses one, and no result depends on them. resume: from the saved state.
-    progress: whether progress is printed in lines where there is no terminal. keep_state: whether the saved state stays
-    after the end, for a training run with more steps. log: receives the history. metadata: entries of SPEC 6.14, for a
-    coded scene. given: a scene to continue, None to begin with points. up_axis: SPEC 6.5, None for the axis of the
-    photographs.
+    threads: those of the rasteriser, None for all. The rest uses one, and no result depends on them. resume: from the
+    saved state. progress: whether progress is printed in lines where there is no terminal. keep_state: whether the
+    saved state stays after the end, for a training run with more steps. log: receives the history. metadata: entries of
+    SPEC 6.14, for a coded scene. given: a scene to continue, None to begin with points. up_axis: SPEC 6.5, None for the
+    axis of the photographs. stages: others than those of the method (stage.Stage).
 
     A state that cannot be saved does not end the training. A scene that cannot be written to `output` is written to
     the folder of temporary files, and the error names the path.
@@ -75,10 +79,10 @@ def train(
     Raises StateError for a saved state that cannot be used, and OSError for a scene that cannot be written.
     """
     torch.set_num_threads(1)
-    numba.set_num_threads(min(threads, numba.get_num_threads()))
+    numba.set_num_threads(min(threads or numba.get_num_threads(), numba.get_num_threads()))
     if given is not None:
         settings = continued_settings(given, settings)
-    trainer = Trainer(photographs, settings, device, given=given)
+    trainer = Trainer(photographs, settings, device, given, stages)
     keep = Keeper(trainer, state_path(output))
     if resume:
         restore(trainer, keep.path)
@@ -116,11 +120,15 @@ def report(trainer: Trainer, result: Scene | Uncompressed) -> dict[str, Any]:
     mean of these, or of those of the uncompressed scene, None if no photograph is held out. schedule: where training
     was extended last, as schedule.Clock.
     """
-    quantised, views = {}, trainer.views
+    quantised = {}
     for photograph in trainer.photographs.test:
         camera = photograph.camera
-        image = (views.show(result, camera) if isinstance(result, Scene) else views.draw(camera)).double().cpu().numpy()
-        quantised[camera.name] = psnr(float(np.mean((image - photograph.image / 255) ** 2)))
+        image = (
+            show(trainer.scaffold, trainer.drawing, result, camera)
+            if isinstance(result, Scene)
+            else trainer.draw(camera)
+        )
+        quantised[camera.name] = psnr(float(np.mean((image.double().cpu().numpy() - photograph.image / 255) ** 2)))
     first = trainer.photographs.train[0].camera
     return {
         "settings": document(trainer.settings),
@@ -132,6 +140,6 @@ def report(trainer: Trainer, result: Scene | Uncompressed) -> dict[str, Any]:
         "psnr": float(np.mean(list(quantised.values()))) if quantised else None,
         "schedule": {"first": trainer.clock.first, "base": trainer.clock.base},
         "unit": trainer.scaffold.units.length,
-        "bytes": {name: round(value) for name, value in trainer.estimate().items()},
+        "bytes": {name: round(value) for name, value in estimate(trainer).items()},
         "history": trainer.looks.history,
     }

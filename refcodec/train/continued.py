@@ -71,7 +71,7 @@ def beginning(given: Given, photographs: PhotographSet, settings: TrainSettings)
     if given.networks is None or not len(cloud.positions):
         raise BeginningError("it has no anchors, or no rendering networks")
     if not settings.rate.lambda_r and not cloud.masks.all():
-        raise BeginningError("it has masks, which a training without a rate does not have")
+        raise BeginningError("it has masks, which a training with lambda 0 does not have")
     points = cloud.positions.astype(np.float64)
     length = scene_length(replace(photographs, points=points))
     grid = choose_grid(cloud.positions, _cell(given))

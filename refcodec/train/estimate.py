@@ -12,10 +12,11 @@ from ..encoder.sizes import choose_lanes
 from ..encoder.weights import quantise_rendering
 from .export import position_bytes, weight_bytes
 from .scaffold import Scaffold
+from .stage import Run
 from .stages.rate import Rate
 
-# The final bits of attributes, masks and planes, per number of each anchor that exists before the rate, at some weights
-# of the rate. They are means over caliterra, snowmiku and playbot at 200 pixels and 4,000 steps, one seed each, with 50
+# The final bits of attributes, masks and planes, per number of each anchor that exists before the rate, at some values
+# of lambda_r. They are means over caliterra, snowmiku and playbot at 200 pixels and 4,000 steps, one seed each, with 50
 # features. With 12 features caliterra and playbot have the same to 5 %.
 LIKELY_BITS = ((0.001, 1.9), (0.004, 1.05), (0.015, 0.43), (0.04, 0.16))
 # Bytes that no estimate counts: header, frame, index, heads of chunks, cameras. caliterra's file has 2,088 of them.
@@ -26,6 +27,18 @@ RENDERING_BITS = 8
 LIKELY_WEIGHT = 1.15
 
 
+def estimate(run: Run) -> dict[str, float]:
+    """Bytes of each part of the file as they are now: coded_bytes, or likely_bytes before the rate.
+
+    Of an uncompressed scene they are those of its float32 numbers.
+    """
+    for rate in run.of(Rate):
+        if rate.model is None:
+            return likely_bytes(run.scaffold, run.settings.rate.lambda_r)
+        return coded_bytes(run.scaffold, rate)
+    return uncompressed_bytes(run.scaffold)
+
+
 def uncompressed_bytes(scaffold: Scaffold) -> dict[str, float]:
     """Bytes of each part as float32 numbers."""
     n = scaffold.count
@@ -33,13 +46,13 @@ def uncompressed_bytes(scaffold: Scaffold) -> dict[str, float]:
     return {"positions": 12 * n, "attributes": 4 * scaffold.columns.width * n, "weights": weights}
 
 
-def likely_bytes(scaffold: Scaffold, weight: float) -> dict[str, float]:
+def likely_bytes(scaffold: Scaffold, lambda_r: float) -> dict[str, float]:
     """Estimates the bytes of each part of the file before there is an entropy model.
 
-    weight: of the rate. Positions are packed. The rest follows from other files: LIKELY_BITS, LIKELY_WEIGHT.
+    Positions are packed. The rest follows from other files: LIKELY_BITS, LIKELY_WEIGHT.
     """
-    weights, bits_at = np.log(np.array(LIKELY_BITS)).T
-    bits = float(np.exp(np.interp(math.log(weight), weights, bits_at)))
+    lambdas, bits_at = np.log(np.array(LIKELY_BITS)).T
+    bits = float(np.exp(np.interp(math.log(lambda_r), lambdas, bits_at)))
     return {
         "positions": position_bytes(scaffold.lattice, choose_lanes(scaffold.count, 2.0 * scaffold.columns.width)),
         "attributes": bits / 8 * scaffold.columns.width * scaffold.count,

@@ -8,7 +8,6 @@ planes (A-RDO).
 from __future__ import annotations
 
 import math
-import threading
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -33,7 +32,6 @@ from ..encoder.positions import choose_grid
 from ..encoder.quantise import carm_shifts, order_anchors, quantise, varying
 from ..encoder.quantise import symbols as to_symbols
 from ..encoder.sizes import choose_plane_size, choose_slices, choose_width
-from ..files.interrupts import on_interrupt
 from .fit_input import Given
 from .optimisers import moments, restore_moments
 from .rate_model.columns import Columns
@@ -43,7 +41,7 @@ from .rate_model.units import PLANE_SHIFT, STEP_ONE
 from .rendering_networks import RENDER_WIDTH
 from .settings import BASE_LAMBDA, EntropySettings, FitSettings, QuantisationSettings
 from .settings_file import document
-from .state import Keeper, Saved, is_saved, restore
+from .state import Keeper, Saved, is_saved, restore, run_steps
 from .voxelise import display_networks
 
 
@@ -247,21 +245,17 @@ class _Fitting:
         self.history: list[tuple[int, float, float]] = []
 
     def run(self, progress: Progress | None, state: Path | None) -> None:
-        """Trains to the end, or until an interrupt, after which the step at hand is still finished."""
+        """Trains to the end, or until an interrupt (state.run_steps)."""
         if state is not None and is_saved(state):
             restore(self, state)
-        saved, steps = time.monotonic(), self.settings.steps
-        keep = Keeper(self, state) if state is not None else None
-        stop = threading.Event()
-        with on_interrupt(lambda *_: stop.set()):
-            while self.done < steps and not stop.is_set():
-                self._step()
-                if progress:
-                    progress("fit", self.done, steps)
-                late = time.monotonic() - saved > self.settings.save_seconds
-                if keep is not None and (late or stop.is_set() or self.done == steps):
-                    keep()
-                    saved = time.monotonic()
+        keep, steps = Keeper(self, state) if state is not None else None, self.settings.steps
+
+        def step() -> None:
+            self._step()
+            if progress:
+                progress("fit", self.done, steps)
+
+        run_steps(step, lambda: self.done == steps, keep, self.settings.save_seconds)
 
     def _step(self) -> None:
         settings, model = self.settings, self.model

@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from torch import Tensor
 
+from .estimate import estimate
 from .pace import Pace
-from .schedule import Clock
-from .settings import LookSettings
-from .stage import Stage
+from .stage import Run, Stage
 from .state import Saved
-from .views import Views
 
 # About the number of photographs of an evaluation: enough for a curve, in a small share of the training time.
 IMAGES = 5
@@ -38,23 +35,17 @@ class Looks(Stage):
     steps, dB. seconds: the training time. pace: of its steps.
     """
 
-    settings: LookSettings
-    views: Views
-    estimate: Callable[[], dict[str, float]]
-    clock: Clock
+    name = "looks"
+    history: list[dict[str, Any]]
+    recent: list[float]
     seconds: float
     pace: Pace
 
-    name = "looks"
-
-    def __init__(
-        self, settings: LookSettings, views: Views, estimate: Callable[[], dict[str, float]], clock: Clock, pace: Pace
-    ) -> None:
-        """estimate: bytes of each part of the file."""
-        self.settings, self.views, self.estimate, self.clock = settings, views, estimate, clock
-        self.history: list[dict[str, Any]] = []
-        self.recent: list[float] = []
-        self.seconds, self.pace = 0.0, pace
+    def join(self, run: Run) -> None:
+        """As Stage."""
+        super().join(run)
+        self.history, self.recent, self.seconds = [], [], 0.0
+        self.pace = Pace(run.clock, bool(run.settings.rate.lambda_r))
 
     def step_done(self, image: Tensor, photograph: Tensor, seconds: float) -> None:
         """Records a step: its image, and its time."""
@@ -64,25 +55,25 @@ class Looks(Stage):
 
     def look(self) -> None:
         """Adds to the history, if it is due or the training run is at its end."""
-        done, steps = self.clock.done, self.clock.steps
-        if done % max(steps // self.settings.count, 1) and done < steps:
+        run, done, steps = self.run, self.run.clock.done, self.run.clock.steps
+        if done % max(steps // run.settings.looks.count, 1) and done < steps:
             return
         began = time.perf_counter()
-        test = self.views.photographs.test
-        some = test[:: max(len(test) // IMAGES, 1)] or self.views.photographs.train[:1]
-        errors = [float((self.views.draw(p.camera) - self.views.pixels(p)).square().mean()) for p in some]
+        test = run.photographs.test
+        some = test[:: max(len(test) // IMAGES, 1)] or run.photographs.train[:1]
+        errors = [float((run.draw(p.camera) - run.pixels(p)).square().mean()) for p in some]
         self.seconds += time.perf_counter() - began
-        estimated = self.estimate()
+        estimated = estimate(run)
         sizes = {name: estimated.get(name, 0) for name in PARTS}
         self.history.append(
             {
                 "step": done,
                 "seconds": round(self.seconds, 2),
                 "psnr": float(np.mean([psnr(e) for e in errors])),
-                "anchors": self.views.scaffold.count,
+                "anchors": run.scaffold.count,
                 "bytes": round(sum(sizes.values())),
                 **{name: round(size) for name, size in sizes.items()},
-                PHASE: self.clock.phase(done - 1),
+                PHASE: run.clock.phase(done - 1),
             }
         )
 

@@ -15,7 +15,7 @@ from numba.core import event
 from ..bitstream.attributes import KINDS
 from ..files.terminal import ProgressStream, note
 from ..files.text import shell_word
-from .estimate import UNCOUNTED
+from .estimate import UNCOUNTED, estimate
 from .trainer import Trainer, Watch
 
 # Seconds between two lines of progress where there is no terminal.
@@ -23,7 +23,7 @@ LINE_SECONDS = 5.0
 
 
 def opening(trainer: Trainer) -> str:
-    """The line before the first step: photographs, points, anchors, steps, rate."""
+    """The line before the first step: photographs, points, anchors, steps, lambda_r."""
     photographs, settings = trainer.photographs, trainer.settings
     first = photographs.train[0].camera
     red, green, blue = photographs.background
@@ -35,7 +35,7 @@ def opening(trainer: Trainer) -> str:
     words += [f"{len(photographs.points)} {points}", f"background {red},{green},{blue}"]
     given = " of the scene to continue" if trainer.given else ""
     words += [f"{trainer.scaffold.count} anchors{given}", f"{settings.steps} steps"]
-    words.append(f"rate {settings.rate.lambda_r:g}" if settings.rate.lambda_r else "no rate: an uncompressed scene")
+    words.append(f"lambda {settings.rate.lambda_r:g}" if settings.rate.lambda_r else "lambda 0: an uncompressed scene")
     if trainer.clock.done:
         words.append(f"from step {trainer.clock.done} on")
     return f"train: {', '.join(words)}"
@@ -44,7 +44,7 @@ def opening(trainer: Trainer) -> str:
 def line(trainer: Trainer) -> str:
     """The progress of a training run. A value that is not measured yet has "about" before it, or is left out."""
     clock, looks, last = trainer.clock, trainer.looks, trainer.looks.history[-1:]
-    size = last[0]["bytes"] if last else sum(v for k, v in trainer.estimate().items() if k not in KINDS)
+    size = last[0]["bytes"] if last else sum(v for k, v in estimate(trainer).items() if k not in KINDS)
     words = [f"step {clock.done} of {clock.steps}", f"{np.mean(looks.recent):.2f} dB"]
     words += [f"held-out {look['psnr']:.2f} dB" for look in last]
     words += [f"{trainer.scaffold.count} anchors", _about(trainer) + file_size(trainer, size)]
@@ -66,7 +66,7 @@ def _about(trainer: Trainer) -> str:
 
 
 def file_size(trainer: Trainer, size: float) -> str:
-    """The size of a file in words. size: bytes of Trainer.estimate."""
+    """The size of a file in words. size: bytes of estimate."""
     uncounted = 0 if trainer.rate is None else UNCOUNTED
     return f"{(size + uncounted) / 1000:.0f} KB"
 

@@ -328,10 +328,9 @@ class LookSettings:
 
 # --- phases -----------------------------------------------------------------------------------------------------------
 
-# The modes that a phase may give each part.
+# The stages of the method, each a module of `stages`, in the order in which a step calls them, and the modes that a
+# phase may give them.
 MODES: dict[str, tuple[str, ...]] = {
-    # observe: gradients and opacities are noted. grow: anchors grow and are dropped, too.
-    "growth": ("off", "observe", "grow"),
     # on: offsets may be masked, and the masks' loss counts.
     "masks": ("off", "on"),
     # on: the frame and the size of the planes are fixed, and bits count. integers: activations, contexts and step
@@ -341,6 +340,9 @@ MODES: dict[str, tuple[str, ...]] = {
     "quantisation": ("noise", "round"),
     # grid: the weights of all networks are rounded to grids.
     "weights": ("float", "grid"),
+    # observe: gradients and opacities are noted. grow: anchors grow and are dropped, too.
+    "growth": ("off", "observe", "grow"),
+    "learning": ("on",),
     # on: training ends with the mean of its steps from here on, and no anchor is removed.
     "averaging": ("off", "on"),
 }

@@ -1,14 +1,46 @@
-"""The interface of a stage of the method: the calls that a training run makes to each of them."""
+"""The interface of a stage of the method, and the training run that all stages share.
+
+A stage of your own is an object that `train` takes, as gsplat takes a strategy:
+
+    class Opaque(Stage):
+        \"\"\"Makes visible Gaussians more opaque in the last part of a training run.\"\"\"
+
+        name = "opaque"
+
+        def __init__(self, weight: float, begin: float = 0.5) -> None:
+            self.weight, self.begin = weight, begin
+
+        def loss(self, step: Step) -> Tensor | None:
+            if self.run.clock.share < self.begin or step.opacity is None:
+                return None
+            return -self.weight * step.opacity.clamp_min(0).mean()
+
+    train(photographs, settings, output, stages=[Opaque(0.01)])
+
+It is called after the stages of the method. A stage of the method itself is a module of `stages` with an entry in
+settings.MODES, which names it.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeVar
 
+import torch
 from torch import Tensor
 
+from ..photographs.photographs import Photograph, PhotographSet
 from ..rendering.camera import Camera
+from ..rendering.rasterise import Settings
+from .scaffold import Scaffold
+from .schedule import Clock
+from .settings import TrainSettings
+from .splat import draw
 from .state import Saved
+from .views import pixels
+
+S = TypeVar("S", bound="Stage")
 
 
 @dataclass(eq=False)
@@ -49,13 +81,25 @@ class Stage:
     """A stage of the method. A training run calls its stages in their order at each of these points.
 
     A stage defines only the calls that it needs. name: its name in the phases of the settings and in saved states.
+    needs_rate: whether an uncompressed training omits it. run: the training run.
     """
 
     name = ""
+    needs_rate = False
+    run: Run
+
+    def join(self, run: Run) -> None:
+        """Before the first step, and before a saved state is restored. A stage that defines it calls this one first."""
+        self.run = run
+
+    @property
+    def mode(self) -> str:
+        """The present mode of a stage of the method, of settings.MODES."""
+        return self.run.clock.mode(self.name)
 
     # --- of a step, in this order -------------------------------------------------------------------------------------
 
-    def begin(self) -> None:
+    def before_step(self) -> None:
         """Before a step: creates the objects that the phase requires, unless they exist."""
 
     def prepare(self, step: Step) -> None:
@@ -67,7 +111,7 @@ class Stage:
     def descend(self, step: Step) -> None:
         """After the gradients: updates parameters."""
 
-    def end(self) -> None:
+    def after_step(self) -> None:
         """Between two steps, after the clock has counted this one."""
 
     # --- at other times -----------------------------------------------------------------------------------------------
@@ -90,3 +134,50 @@ class Stage:
 
         Raises ValueError for values that cannot be a state of this stage.
         """
+
+
+class Run:
+    """A training run as its stages see it.
+
+    stages: in the order in which the loop calls them. cameras: those of the photographs to learn from, in training
+    units. drawing: the settings of the rasteriser.
+
+    device: of all tensors of a step; kernels replace definitions in torch on the CPU. random: draws the first values,
+    the order of photographs and the growth, on the CPU, which makes these the same on every device. noise: draws on the
+    device the noise of steps and the anchors whose bits count. On the CPU both are the same generator.
+    """
+
+    settings: TrainSettings
+    photographs: PhotographSet
+    device: torch.device
+    random: torch.Generator
+    noise: torch.Generator
+    clock: Clock
+    scaffold: Scaffold
+    cameras: list[Camera]
+    drawing: Settings
+    stages: list[Stage]
+
+    def of(self, kind: type[S]) -> Iterator[S]:
+        """The stages of a kind, of which there is one or none."""
+        return (stage for stage in self.stages if isinstance(stage, kind))
+
+    def anchors_changed(self) -> None:
+        """Tells all stages that anchors were added or removed."""
+        for stage in self.stages:
+            stage.anchors_changed()
+
+    def pixels(self, photograph: Photograph) -> Tensor:
+        """A photograph on the training's device, float32 [H, W, 3], 1 for white."""
+        return pixels(photograph, self.device)
+
+    @torch.no_grad()
+    def draw(self, camera: Camera) -> Tensor:
+        """The image of the scene in training by a camera of the world: float32 [H, W, 3], rounded if training is."""
+        camera = self.scaffold.units.camera(camera)
+        rows = self.scaffold.visible(camera)
+        sight = Sight(camera, rows, {name: table[rows] for name, table in self.scaffold.tables.items()})
+        for stage in self.stages:
+            stage.show(sight)
+        _, gaussians, _ = self.scaffold.gaussians(rows, camera, sight.values, sight.masks)
+        return draw(*gaussians, camera, self.drawing)[0].clamp(0, 1)

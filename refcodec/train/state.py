@@ -12,6 +12,8 @@ import json
 import math
 import os
 import tempfile
+import threading
+import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
@@ -22,6 +24,7 @@ from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from ..files.documents import parse_json
+from ..files.interrupts import on_interrupt
 from ..files.present import NotAFileError, is_there
 from ..files.terminal import note
 from ..files.text import printable
@@ -250,6 +253,23 @@ class Keeper:
             self.path.unlink(missing_ok=True)
 
 
+def run_steps(
+    step: Callable[[], None], is_done: Callable[[], bool], keep: Callable[[], None] | None, seconds: float
+) -> None:
+    """Makes steps of training until its end, or until an interrupt, after which the step at hand is still finished.
+
+    An interrupt is one of the signals of files.interrupts, such as Ctrl-C. keep: saves the state, about every `seconds`
+    and after the last step; None saves nothing.
+    """
+    stop, saved = threading.Event(), time.monotonic()
+    with on_interrupt(lambda *_: stop.set()):
+        while not is_done() and not stop.is_set():
+            step()
+            if keep and (time.monotonic() - saved > seconds or stop.is_set() or is_done()):
+                keep()
+                saved = time.monotonic()
+
+
 def _kept(path: Path, yes: str, no: str) -> str:
     """A clause about a state for the message of another failure. A further failure here is reported, not raised."""
     try:
@@ -281,12 +301,11 @@ def restore(training: Savable, path: Path) -> None:
     Raises StateError for a file that is damaged, of another version or another training run, or not a state.
     """
     before, saved = _read(path)
-    for key, now in training.fingerprint().items():
-        if before.get(key) != now:
-            changes = (
-                differences(before[key], now) if isinstance(now, dict) and isinstance(before.get(key), dict) else ()
-            )
-            raise StateError("; ".join([f"the saved state {path} is of other {key}", *changes]))
+    now = training.fingerprint()
+    for key in dict.fromkeys([*now, *before]):
+        if (one := before.get(key)) != (other := now.get(key)):
+            changes = differences(one, other) if isinstance(one, dict) and isinstance(other, dict) else ()
+            raise StateError("; ".join([f"the saved state {path} is of other {printable(key, _SHOWN)}", *changes]))
     try:
         training.restore(saved)
         saved.check_all_read()

@@ -6,65 +6,47 @@ the method in turn. Each stage reads from the phases of the settings when it is 
 
 from __future__ import annotations
 
-import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from importlib import import_module
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from ..bitstream.scene import Scene
-from ..files.interrupts import on_interrupt
 from ..folder.uncompressed import Uncompressed
 from ..photographs.photographs import PhotographSet
 from ..rendering.camera import STATED, spread_cameras
+from ..rendering.rasterise import Settings
 from .device import noise_generator, training_device
-from .estimate import coded_bytes, likely_bytes, uncompressed_bytes
 from .export import coded_scene, render_info, uncompressed
 from .fit_input import Given
 from .looks import Looks
 from .losses import photometric
-from .pace import Pace
 from .scaffold import Scaffold
 from .schedule import Clock
-from .settings import TrainSettings
+from .settings import MODES, TrainSettings
 from .settings_file import document
-from .stage import Stage, Step
-from .stages.averaging import Averaging
-from .stages.grids import Grids
-from .stages.growth import Growth
-from .stages.learning import Learning
-from .stages.masks import Masks
-from .stages.quantisation import Quantisation
+from .splat import draw
+from .stage import Run, Stage, Step
 from .stages.rate import Rate
-from .state import Saved
-from .views import Views
+from .state import Saved, run_steps
 
 Watch = Callable[["Trainer"], None]
 # The name of the device's random numbers in a saved state.
 NOISE = "noise"
 
 
-class Trainer:
-    """A training run in progress.
+def method(settings: TrainSettings) -> list[Stage]:
+    """The stages of the method that the settings select: a class of its name in each module of `stages`."""
+    stages = [getattr(import_module(f".stages.{name}", __package__), name.capitalize())() for name in MODES]
+    return [stage for stage in stages if settings.rate.lambda_r or not stage.needs_rate]
 
-    stages: those of the method, in the order in which the loop calls them. rate: the stage that counts bits; None for
-    an uncompressed Scaffold-GS, which has neither masks nor an entropy model.
 
-    device: of all tensors of a step; kernels replace definitions in torch on the CPU. random: draws the first values,
-    the order of photographs and the growth, on the CPU, which makes these the same on every device. noise: draws on the
-    device the noise of steps and the anchors whose bits count. On the CPU both are the same generator.
-    """
+class Trainer(Run):
+    """A training run in progress. looks: its records, the last of its stages."""
 
-    settings: TrainSettings
-    photographs: PhotographSet
-    device: torch.device
-    random: torch.Generator
-    noise: torch.Generator
-    clock: Clock
-    scaffold: Scaffold
-    views: Views
     looks: Looks
 
     def __init__(
@@ -73,10 +55,12 @@ class Trainer:
         settings: TrainSettings,
         device: str = "cpu",
         given: Given | None = None,
+        stages: Sequence[Stage] = (),
     ) -> None:
-        """given: a scene to continue, None to begin with points.
+        """given: a scene to continue, None to begin with points. stages: others, after those of the method.
 
-        Raises ValueError for photographs that do not suffice for training, and for a missing device.
+        Raises ValueError for photographs that do not suffice for training, for a missing device, and for a stage
+        without a name of its own.
         """
         self.settings, self.photographs, self.device = settings, photographs, training_device(device)
         self.given = given
@@ -84,34 +68,18 @@ class Trainer:
         self.noise = noise_generator(self.device, self.random, settings.seed)
         self.clock = Clock(settings.phases, settings.steps)
         self.scaffold = Scaffold(photographs, settings, self.random, self.device, given)
-        self.stages: list[Stage] = []
-        self.views = Views(photographs, self.scaffold, self.stages)
-        pace = Pace(self.clock, bool(settings.rate.lambda_r))
-        self.looks = Looks(settings.looks, self.views, self.estimate, self.clock, pace)
-        self.rate: Rate | None = None
-        self.stages += self._compose()
+        self.cameras = [self.scaffold.units.camera(p.camera) for p in photographs.train]
+        red, green, blue = (c / 255 for c in photographs.background)
+        self.drawing = Settings(self.scaffold.low_pass, self.scaffold.near, background=(red, green, blue))
+        self.looks = Looks()
+        self.stages = [*method(settings), *stages, self.looks]
         self.order: list[int] = []
-
-    def _compose(self) -> list[Stage]:
-        """The stages of the method that the settings select."""
-        settings, scaffold, clock, random = self.settings, self.scaffold, self.clock, self.random
-        start = settings.masks.start
-        growth = Growth(settings.growth, start, scaffold, clock, random, self._anchors_changed, self.photographs.pixels)
-        always = [growth, Learning(settings.learning, scaffold, clock)]
-        if not settings.rate.lambda_r:
-            return [*always, Averaging(scaffold, None, clock), self.looks]
-        masks = Masks(
-            settings.masks, settings.rate.lambda_r, scaffold, self.views.cameras, clock, self._anchors_changed
-        )
-        quantisation = Quantisation(settings.quantisation, scaffold, clock, self.noise)
-        self.rate = Rate(settings, scaffold, masks, quantisation, clock, random)
-        grids = Grids(settings, scaffold, self.rate, self.views, self.estimate, clock)
-        averaging = Averaging(scaffold, self.rate, clock)
-        return [masks, self.rate, quantisation, grids, *always, averaging, self.looks]
-
-    def _anchors_changed(self) -> None:
+        self._images: dict[int, Tensor] = {}
+        names = [stage.name for stage in self.stages]
         for stage in self.stages:
-            stage.anchors_changed()
+            if not stage.name or "/" in stage.name or names.count(stage.name) > 1:
+                raise ValueError(f"a stage has the name {stage.name!r}, but each must have one of its own")
+            stage.join(self)
 
     # --- the loop -----------------------------------------------------------------------------------------------------
 
@@ -119,9 +87,9 @@ class Trainer:
         """One step of training."""
         began = time.perf_counter()
         for stage in self.stages:
-            stage.begin()
+            stage.before_step()
         number = self._next_view()
-        step, photograph = self._looked_at(number), self.views.image(number)
+        step, photograph = self._looked_at(number), self._image(number)
         for stage in self.stages:
             stage.prepare(step)
         image, volume = self._drawn(step)
@@ -137,17 +105,23 @@ class Trainer:
             stage.descend(step)
         self.clock.done += 1
         for stage in self.stages:
-            stage.end()
+            stage.after_step()
         self.looks.step_done(image, photograph, time.perf_counter() - began)
 
     def _next_view(self) -> int:
         """The photograph of a step: each comes once, in random order, then each again."""
         if not self.order:
-            self.order = torch.randperm(len(self.views.cameras), generator=self.random).tolist()
+            self.order = torch.randperm(len(self.cameras), generator=self.random).tolist()
         return self.order.pop()
 
+    def _image(self, number: int) -> Tensor:
+        """A photograph to learn from, which is kept on the device."""
+        if number not in self._images:
+            self._images[number] = self.pixels(self.photographs.train[number])
+        return self._images[number]
+
     def _looked_at(self, number: int) -> Step:
-        camera = self.views.cameras[number]
+        camera = self.cameras[number]
         rows = self.scaffold.visible(camera)
         leaves = self.scaffold.leaves(rows)
         return Step(camera, rows, dict(leaves), leaves=leaves, taken=[(rows, leaves)])
@@ -157,42 +131,29 @@ class Trainer:
         chosen, gaussians, opacity = self.scaffold.gaussians(step.rows, step.camera, step.values, step.masks)
         screen = torch.zeros(len(chosen), device=self.device, requires_grad=True)
         step.chosen, step.opacity, step.screen = chosen, opacity, screen
-        image = self.views.drawn(gaussians, step.camera, screen)
+        image, _, _ = draw(*gaussians, step.camera, self.drawing, screen)
         return image, gaussians[2].prod(dim=1).mean() if len(chosen) else None
 
-    def run(self, watch: Watch, save: Callable[[], None] | None = None) -> bool:
-        """Trains to the end, or until an interrupt; the current step is finished first.
+    def run(self, watch: Watch, keep: Callable[[], None] | None = None) -> bool:
+        """Trains to the end, or until an interrupt; the current step is finished first (state.run_steps).
 
-        An interrupt is one of the signals of files.interrupts, such as Ctrl-C.
-
-        watch: called after each step. save: called from time to time, and after the last step. Returns whether the
-        training reached its end.
+        watch: called after each step. keep: saves the state. Returns whether the training reached its end.
         """
-        stop = threading.Event()
-        saved = time.monotonic()
-        with on_interrupt(lambda *_: stop.set()):
-            while self.clock.done < self.clock.steps and not stop.is_set():
-                self.step()
-                self.looks.look()
-                watch(self)
-                late = time.monotonic() - saved > self.settings.looks.save_seconds
-                if save and (late or stop.is_set() or self.clock.done == self.clock.steps):
-                    save()
-                    saved = time.monotonic()
+
+        def step() -> None:
+            self.step()
+            self.looks.look()
+            watch(self)
+
+        run_steps(step, lambda: self.clock.done == self.clock.steps, keep, self.settings.looks.save_seconds)
         return self.clock.done == self.clock.steps
 
+    @property
+    def rate(self) -> Rate | None:
+        """The stage that counts bits; None for an uncompressed Scaffold-GS, which has no entropy model and no masks."""
+        return next(self.of(Rate), None)
+
     # --- results ------------------------------------------------------------------------------------------------------
-
-    def estimate(self) -> dict[str, float]:
-        """Bytes of each part of the file as they are now: estimate.coded_bytes, or likely_bytes before the rate.
-
-        Of an uncompressed scene they are those of its float32 numbers.
-        """
-        if self.rate is None:
-            return uncompressed_bytes(self.scaffold)
-        if self.rate.model is None:
-            return likely_bytes(self.scaffold, self.settings.rate.lambda_r)
-        return coded_bytes(self.scaffold, self.rate)
 
     def result(self) -> Scene | Uncompressed:
         """The trained scene, as a file or folder stores it: integers, or floats without a rate.
@@ -201,10 +162,10 @@ class Trainer:
         """
         cameras = spread_cameras([p.camera for p in self.photographs.train], STATED)
         render = render_info(self.scaffold, self.photographs)
-        if self.rate is None:
-            return uncompressed(self.scaffold, render, cameras)
         for stage in self.stages:
             stage.finish()
+        if self.rate is None:
+            return uncompressed(self.scaffold, render, cameras)
         return coded_scene(self.scaffold, self.rate, render, cameras)
 
     # --- the saved state ----------------------------------------------------------------------------------------------
@@ -213,8 +174,12 @@ class Trainer:
         """The values that must be equal to continue: settings except steps, and photographs with their sizes."""
         photographs = [[p.camera.name, p.camera.width, p.camera.height] for p in self.photographs.train]
         settings = {name: value for name, value in document(self.settings).items() if name != "steps"}
-        facts = {"settings": settings, "photographs": photographs}
-        return facts if self.given is None else {**facts, "from": len(self.given.cloud.positions)}
+        facts: dict[str, Any] = {"settings": settings, "photographs": photographs}
+        if self.given is not None:
+            facts["from"] = len(self.given.cloud.positions)
+        own = {*MODES, self.looks.name}
+        others = [stage.name for stage in self.stages if stage.name not in own]
+        return {**facts, "stages": others} if others else facts
 
     def state(self) -> dict[str, Any]:
         """Everything that an exact continuation needs: tensors, and values of JSON, by names with slashes."""
@@ -233,13 +198,13 @@ class Trainer:
     def restore(self, state: Saved) -> None:
         """Sets a new training to a saved state. Raises ValueError for values that cannot be its state."""
         self.clock.restore(state.within("clock"))
-        order, views = state.value("order"), len(self.views.cameras)
+        order, views = state.value("order"), len(self.cameras)
         right = isinstance(order, list) and all(type(n) is int and 0 <= n < views for n in order)
         if not right or len(set(order)) != len(order):
             raise state.fault("order", f"is not a list of different numbers of the {views} photographs")
         self.order = order
         self.scaffold.restore(state.within("scaffold"))
-        self._anchors_changed()
+        self.anchors_changed()
         for stage in self.stages:
             stage.restore(state.within(stage.name))
         state.generator("random", self.random)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -16,6 +18,7 @@ from refcodec.train.schedule import Clock
 from refcodec.train.settings import TrainSettings
 from refcodec.train.settings_file import varied
 from refcodec.train.splat import draw
+from refcodec.train.stage import Run
 from refcodec.train.stages.growth import Growth
 from refcodec.train.start import lattice_positions
 from refcodec.train.trainer import Trainer
@@ -27,10 +30,13 @@ def beginning(photographs: PhotographSet, anchors: int) -> Scaffold:
     return Scaffold(photographs, settings, torch.Generator().manual_seed(0))
 
 
-def growth(scaffold: Scaffold, most: int, pixels: int = 10**6) -> Growth:
-    settings = varied(TrainSettings(), {"growth.most": most})
-    clock, random = Clock(settings.phases, settings.steps), torch.Generator().manual_seed(1)
-    return Growth(settings.growth, settings.masks.start, scaffold, clock, random, lambda: None, pixels)
+def growth(scaffold: Scaffold, most: int, pixels: int = 10**6, **changes: Any) -> Growth:
+    run, part = Run(), Growth()
+    run.settings, run.scaffold, run.stages = varied(TrainSettings(), {"growth.most": most, **changes}), scaffold, []
+    run.clock, run.random = Clock(run.settings.phases, run.settings.steps), torch.Generator().manual_seed(1)
+    run.photographs, run.device = cast(Any, SimpleNamespace(pixels=pixels)), scaffold.device
+    part.join(run)
+    return part
 
 
 def test_units(photographs: PhotographSet) -> None:
@@ -79,7 +85,7 @@ def test_no_anchor_is_left_out_that_could_be_seen(photographs: PhotographSet, tr
         for anchors in (scaffold.visible(camera), torch.arange(scaffold.count)):
             values = {kind: table[anchors] for kind, table in scaffold.tables.items()}
             _, gaussians, _ = scaffold.gaussians(anchors, camera, values, None)
-            images.append(draw(*gaussians, camera, trained.views.settings)[0].detach())
+            images.append(draw(*gaussians, camera, trained.drawing)[0].detach())
         assert float((images[0] - images[1]).abs().max()) < 1e-3
     fresh = beginning(photographs, 500)
     # The camera looks the other way: no anchor is in front of it.
@@ -152,13 +158,10 @@ def test_few_pixels_have_few_anchors(photographs: PhotographSet) -> None:
 
 def test_growth_takes_its_time_from_the_phases(photographs: PhotographSet) -> None:
     """It grows every period while its phase lasts, its first and last step included."""
-    scaffold = beginning(photographs, 100)
-    settings = varied(TrainSettings(), {"steps": 1000, "growth.period": 10, "growth.most": 1})
-    clock, times = Clock(settings.phases, settings.steps), []
-    part = Growth(settings.growth, 0.0, scaffold, clock, torch.Generator(), lambda: times.append(clock.done), 10**6)
-    for done in range(1, 1001):
-        clock.done = done
-        part.end()
+    part, times = growth(beginning(photographs, 100), 1, steps=1000, **{"growth.period": 10}), []
+    part.grow = lambda: times.append(part.run.clock.done)  # type: ignore[method-assign]
+    for part.run.clock.done in range(1, 1001):
+        part.after_step()
     assert times == list(range(30, 401, 10))
 
 

@@ -83,7 +83,7 @@ def test_it_begins_with_what_the_scene_shows(voxel: float | None, tmp_path: Path
     trainer = Trainer(photographs, settings, given=given)
     assert trainer.scaffold.count == len(scene.masks)
     for photograph in photographs.train:
-        drawn = trainer.views.draw(photograph.camera).detach().numpy()
+        drawn = trainer.draw(photograph.camera).detach().numpy()
         error = float(np.mean((drawn.clip(0, 1) - photograph.image / 255) ** 2))
         assert photograph.image.std() > 20
         assert -10 * np.log10(error) > (50 if voxel else 40)

@@ -24,7 +24,7 @@ from refcodec.bitstream.codec import emit, parse
 from refcodec.bitstream.reconstruction import digest
 from refcodec.bitstream.scene import Scene
 from refcodec.photographs.photographs import PhotographSet, read_photographs
-from refcodec.train import splat, trainer, views
+from refcodec.train import splat, stage, trainer, views
 from refcodec.train.command import report
 from refcodec.train.settings import TrainSettings
 from refcodec.train.settings_file import varied
@@ -156,7 +156,8 @@ def _noise(device: torch.device, random: torch.Generator, seed: int) -> torch.Ge
 @pytest.fixture
 def device(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     """The pretended device."""
-    monkeypatch.setattr(views, "draw", drawn_on_cpu)
+    for module in (stage, trainer, views):
+        monkeypatch.setattr(module, "draw", drawn_on_cpu)
     monkeypatch.setattr(trainer, "noise_generator", _noise)
     fused = optimizer._get_fused_kernels_supported_devices
     monkeypatch.setattr(optimizer, "_get_fused_kernels_supported_devices", lambda: [*fused(), DEVICE])

@@ -62,7 +62,7 @@ def test_anchors_without_a_kept_offset_go(photographs: PhotographSet, small: Tra
     scaffold.tables["masks"][1] = -4.7
     before, bits = losses(trainer), rate.bits(rate.masks.decided())
     lattice = torch.from_numpy(scaffold.lattice)[~lost]
-    rate.masks.end()
+    rate.masks.after_step()
     assert scaffold.count == len(lattice) < 0.7 * count
     assert torch.equal(torch.from_numpy(scaffold.lattice), lattice)
     assert rate.masks.total == count

@@ -224,7 +224,7 @@ def test_first_and_last_lines(examples: Path, tmp_path: Path, capsys: pytest.Cap
     assert main(["train", source, "-o", str(scene), *TINY, "--steps", "6", "--log", str(log)]) == 0
     assert logged()
     said = capsys.readouterr()
-    words = ["65 photographs of 60 x 45", "10 held out", " points, background 0,0,0", " anchors, 6 steps, rate 0.004"]
+    words = ["65 photographs of 60 x 45", "10 held out", " points, background 0,0,0", " anchors, 6 steps, lambda 0.004"]
     first = said.err.splitlines()[0]
     assert first.startswith("train: ")
     assert all(word in first for word in words)
@@ -239,7 +239,7 @@ def test_first_and_last_lines(examples: Path, tmp_path: Path, capsys: pytest.Cap
     assert logged()
     said = capsys.readouterr()
     assert "75 photographs of 60 x 45, none held out, " in said.err
-    assert "no rate: an uncompressed scene" in said.err
+    assert "lambda 0: an uncompressed scene" in said.err
     sizes = json.loads((scene / "training.json").read_text())["bytes"]
     assert said.out.splitlines()[1:] == [
         f"no photographs are held out; {sum(sizes.values()) / 1000:.0f} KB uncompressed",

@@ -16,10 +16,12 @@ from refcodec.inspect.page.measures import Measures
 from refcodec.inspect.parts import part_bytes
 from refcodec.photographs.photographs import PhotographSet
 from refcodec.rendering.view import View
+from refcodec.train.estimate import estimate as estimate_of
 from refcodec.train.rate_model.model import OFFSETS
 from refcodec.train.settings import TrainSettings
 from refcodec.train.settings_file import varied
 from refcodec.train.trainer import Trainer
+from refcodec.train.views import show
 
 
 def test_the_rate_has_gradients(photographs: PhotographSet, small: TrainSettings) -> None:
@@ -53,7 +55,7 @@ def test_bytes_are_what_was_estimated(trained: Trainer) -> None:
     """Code lengths as training counts them, against the coder's own models of the file's symbols: integers in both."""
     scene = trained.result()
     assert isinstance(scene, Scene)
-    estimate = trained.estimate()
+    estimate = estimate_of(trained)
     measures = Measures(scene.dimensions, scene.anchor_count)
     measures.add(scene)
     measures.finish(scene)
@@ -82,7 +84,7 @@ def test_a_training_without_a_hyperprior(photographs: PhotographSet, small: Trai
     assert (d.hyper_width, d.sarm_width, d.carm_width, d.slices) == ((), (), (), (10,) * 5)
     assert scene.frame is None
     assert (scene.attributes.steps == scene.attributes.steps[:1]).all()
-    estimate, sizes = trainer.estimate(), part_bytes(data, outline_of(data))
+    estimate, sizes = estimate_of(trainer), part_bytes(data, outline_of(data))
     assert estimate["planes"] == 0
     assert estimate["attributes"] == pytest.approx(sizes["attributes"], rel=0.02)
     assert estimate["weights"] == pytest.approx(sizes["weights"], abs=3)
@@ -111,7 +113,7 @@ def test_the_file_shows_what_the_training_showed(trained: Trainer, photographs: 
     assert isinstance(scene, Scene)
     view = View(parse(emit(scene)).scene)
     for photograph in photographs.test[:3]:
-        shown = trained.views.show(scene, photograph.camera).numpy()
+        shown = show(trained.scaffold, trained.drawing, scene, photograph.camera).numpy()
         error = float(np.mean((view.draw(photograph.camera).clip(0, 1) - shown) ** 2))
         assert -10 * np.log10(error + 1e-12) > 50
 

@@ -150,7 +150,7 @@ def test_changes(assignment: str, difference: str) -> None:
         ("phases.rate.begin=0.1", "phases begin at [0.0, 0.03, 0.25, 0.1, "),
         ("phases.weights.begin=1", "shares from 0 to less than 1 in ascending order are required"),
         ("phases.rate.modes=1", "phases.rate.modes is 1: the modes of parts by their names are required"),
-        ("phases.rate.modes.rate=fast", "phases.rate has rate = 'fast'; parts and their modes are growth: off or "),
+        ("phases.rate.modes.rate=fast", "phases.rate has rate = 'fast'; parts and their modes are masks: off or "),
         ("phases.rate.modes.speed=on", "phases.rate has speed = 'on'; parts and their modes are "),
         ("phases.rate.modes.growth=grow", "phases.rate has growth = 'grow': anchors cannot change under a rate"),
         ("growth.period", "'growth.period' is not NAME=VALUE"),

@@ -21,6 +21,7 @@ from refcodec.train.settings import TrainSettings
 from refcodec.train.settings_file import SettingsError, varied
 from refcodec.train.state import restore, save
 from refcodec.train.trainer import Trainer
+from refcodec.train.views import show
 
 
 @pytest.fixture(scope="module")
@@ -59,8 +60,8 @@ def test_features_fill_the_range_of_activations(scene: Scene) -> None:
 def test_the_decoder_has_the_gaussians_of_the_training(static: Trainer, scene: Scene) -> None:
     camera = static.photographs.test[0].camera
     held = gaussians_of(scene, camera)
-    shown = static.views.show(scene, camera)
-    drawn = static.views.draw(camera)
+    shown = show(static.scaffold, static.drawing, scene, camera)
+    drawn = static.draw(camera)
     # The training rounds neither positions of offsets nor activations to the integers of the file.
     error = float(torch.mean((shown - drawn) ** 2))
     assert -10 * np.log10(error) > 40

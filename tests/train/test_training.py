@@ -13,14 +13,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from torch import Tensor
 
 from refcodec.bitstream.codec import emit, parse
 from refcodec.bitstream.scene import Scene
 from refcodec.photographs.photographs import Photograph, PhotographSet
-from refcodec.train.command import report
+from refcodec.train.command import report, train
 from refcodec.train.settings import TrainSettings
 from refcodec.train.settings_file import varied
-from refcodec.train.state import restore, save
+from refcodec.train.stage import Stage, Step
+from refcodec.train.state import Saved, restore, save
 from refcodec.train.trainer import Trainer
 
 
@@ -132,3 +134,69 @@ def test_variations(change: dict[str, Any], photographs: PhotographSet, small: T
 def test_masks_move(trained: Trainer) -> None:
     """In this short time the masks' loss and the rate move all masks together towards the threshold; none passes it."""
     assert float(trained.scaffold.tables["masks"].mean()) < 0
+
+
+# --- a stage from outside ---------------------------------------------------------------------------------------------
+
+
+class Opaque(Stage):
+    """Makes visible Gaussians more opaque, and notes the calls that a run makes to it."""
+
+    name = "opaque"
+
+    def __init__(self, weight: float) -> None:
+        self.weight, self.calls, self.count = weight, [], 0
+
+    def loss(self, step: Step) -> Tensor | None:
+        assert step.opacity is not None
+        self.calls.append("loss")
+        return -self.weight * step.opacity.clamp_min(0).mean()
+
+    def after_step(self) -> None:
+        self.calls.append("after_step")
+        self.count += 1
+
+    def anchors_changed(self) -> None:
+        self.calls.append("anchors_changed")
+
+    def finish(self) -> None:
+        self.calls.append("finish")
+
+    def state(self) -> dict[str, Any]:
+        return {"count": self.count}
+
+    def restore(self, state: Saved) -> None:
+        self.count = state.integer("count", 0)
+
+
+@pytest.mark.parametrize("lambda_r", [0.0, 0.01])
+def test_a_stage_from_outside(
+    lambda_r: float, photographs: PhotographSet, small: TrainSettings, tmp_path: Path
+) -> None:
+    """It is called with those of the method, and a saved state has its values."""
+    settings = varied(small, {"steps": 12, "growth.period": 4, "rate.lambda_r": lambda_r})
+    opacities = []
+    for weight in (0.0, 10.0):
+        stage = Opaque(weight)
+        trained = train(photographs, settings, tmp_path / "scene", stages=[stage], keep_state=True).trainer
+        assert (stage.calls.count("loss"), stage.calls.count("after_step"), stage.calls[-1]) == (12, 12, "finish")
+        assert "anchors_changed" in stage.calls
+        assert next(trained.of(Opaque)) is stage
+        camera = photographs.test[0].camera
+        rows = trained.scaffold.visible(trained.scaffold.units.camera(camera))
+        values = {name: table[rows] for name, table in trained.scaffold.tables.items()}
+        opacities.append(float(trained.scaffold.gaussians(rows, camera, values, None)[2].clamp_min(0).detach().mean()))
+    assert opacities[1] > 1.05 * opacities[0]
+    again = Opaque(10.0)
+    restore(Trainer(photographs, settings, stages=[again]), tmp_path / "scene.train-state")
+    assert again.count == 12
+    with pytest.raises(ValueError, match="of other stages"):
+        restore(Trainer(photographs, settings), tmp_path / "scene.train-state")
+
+
+def test_a_stage_has_a_name_of_its_own(photographs: PhotographSet, small: TrainSettings) -> None:
+    for name in ("", "growth", "looks", "a/b"):
+        stage = Opaque(1.0)
+        stage.name = name
+        with pytest.raises(ValueError, match=f"a stage has the name '{name}', but each"):
+            Trainer(photographs, small, stages=[stage])

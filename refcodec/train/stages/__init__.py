@@ -1,1 +1,1 @@
-"""The stages of the method (refcodec.train.stage.Stage), which a training run calls in turn."""
+"""The stages of the method (refcodec.train.stage.Stage): a module each, named as in settings.MODES."""

@@ -10,9 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ..scaffold import Scaffold
-from ..schedule import Clock
-from ..stage import Stage
+from ..stage import Run, Stage
 from ..state import Saved
 from .rate import Rate
 
@@ -26,24 +24,23 @@ class Averaging(Stage):
     means: by name, like the values; empty before the first. count: the number of values in them.
     """
 
-    scaffold: Scaffold
-    rate: Rate | None
-    clock: Clock
+    name = "averaging"
+    means: dict[str, Tensor]
     count: int
 
-    name = "averaging"
-
-    def __init__(self, scaffold: Scaffold, rate: Rate | None, clock: Clock) -> None:
-        self.scaffold, self.rate, self.clock = scaffold, rate, clock
-        self.means: dict[str, Tensor] = {}
-        self.count = 0
+    def join(self, run: Run) -> None:
+        """As Stage."""
+        super().join(run)
+        self.anchors_changed()
 
     def _values(self) -> dict[str, Tensor]:
         """The averaged values, by name: the tensors that training changes."""
-        values = {f"tables.{name}": table for name, table in self.scaffold.tables.items()}
-        values |= {f"networks.{name}": value for name, value in self.scaffold.networks.named_parameters()}
-        if self.rate is not None and self.rate.model is not None:
-            values |= {f"model.{name}": value for name, value in self.rate.model.named_parameters()}
+        scaffold = self.run.scaffold
+        values = {f"tables.{name}": table for name, table in scaffold.tables.items()}
+        values |= {f"networks.{name}": value for name, value in scaffold.networks.named_parameters()}
+        for rate in self.run.of(Rate):
+            if rate.model is not None:
+                values |= {f"model.{name}": value for name, value in rate.model.named_parameters()}
         return values
 
     def anchors_changed(self) -> None:
@@ -51,17 +48,17 @@ class Averaging(Stage):
         self.means, self.count = {}, 0
 
     @torch.no_grad()
-    def end(self) -> None:
+    def after_step(self) -> None:
         """Adds the present values at intervals, and sets the means at the end of training."""
-        if self.clock.mode(self.name) == "off":
+        if self.mode == "off":
             return
-        last = self.clock.done == self.clock.steps
-        if last or self.clock.done % PERIOD == 0:
+        last = self.run.clock.done == self.run.clock.steps
+        if last or self.run.clock.done % PERIOD == 0:
             self._count()
         if last:
             for name, value in self._values().items():
                 value.copy_(self.means[name])
-            self.means, self.count = {}, 0
+            self.anchors_changed()
 
     def _count(self) -> None:
         values = self._values()
@@ -78,5 +75,5 @@ class Averaging(Stage):
         """As Stage. The anchors and the rate are restored before."""
         self.count = state.integer("count", 0)
         values = self._values() if self.count else {}
-        device = self.scaffold.device
+        device = self.run.device
         self.means = {name: state.tensor(name, value.shape).to(device) for name, value in values.items()}

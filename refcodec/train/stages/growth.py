@@ -7,17 +7,14 @@ Larger gradients add anchors on finer lattices.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
-from ..scaffold import Scaffold
-from ..schedule import Clock
-from ..settings import GrowthSettings
-from ..stage import Stage, Step
+from ..stage import Run, Stage, Step
 from ..start import LATTICE_MAX, lattice_positions
 from ..state import Saved
 
@@ -33,37 +30,18 @@ class Growth(Stage):
     opacity, seen: float32 [N], sums of the opacities of an anchor's offsets, and how often each anchor was seen.
     """
 
-    settings: GrowthSettings
-    mask_start: float
-    most: int
-    scaffold: Scaffold
-    clock: Clock
-    random: torch.Generator
-    changed: Callable[[], None]
-    gradient: torch.Tensor
-    drawn: torch.Tensor
-    opacity: torch.Tensor
-    seen: torch.Tensor
-
     name = "growth"
+    most: int
+    gradient: Tensor
+    drawn: Tensor
+    opacity: Tensor
+    seen: Tensor
 
-    def __init__(
-        self,
-        settings: GrowthSettings,
-        mask_start: float,
-        scaffold: Scaffold,
-        clock: Clock,
-        random: torch.Generator,
-        changed: Callable[[], None],
-        pixels: int,
-    ) -> None:
-        """mask_start: logit of a new offset. changed: called after anchors were added or removed.
-
-        pixels: of all photographs to learn from.
-        """
-        self.settings, self.mask_start = settings, mask_start
-        self.most = min(settings.most, pixels // settings.pixels)
-        self.scaffold, self.clock, self.random, self.changed = scaffold, clock, random, changed
+    def join(self, run: Run) -> None:
+        """As Stage. most: the largest number of anchors that the photographs allow."""
+        super().join(run)
+        self.settings, self.scaffold = run.settings.growth, run.scaffold
+        self.most = min(self.settings.most, run.photographs.pixels // self.settings.pixels)
         self.anchors_changed()
 
     def anchors_changed(self) -> None:
@@ -74,7 +52,7 @@ class Growth(Stage):
 
     def descend(self, step: Step) -> None:
         """Adds a step's statistics."""
-        if self.clock.mode(self.name) == "off":
+        if self.mode == "off":
             return
         assert step.chosen is not None
         assert step.opacity is not None
@@ -89,13 +67,14 @@ class Growth(Stage):
         self.opacity[rows] += step.opacity.detach().clamp_min(0).sum(dim=1)
         self.seen[rows] += 1
 
-    def end(self) -> None:
+    def after_step(self) -> None:
         """Grows when it is time, also where growing begins or ends with this step."""
-        done = self.clock.done
-        if done % self.settings.period == 0 and "grow" in (self.clock.mode(self.name, d) for d in (done - 1, done)):
+        clock = self.run.clock
+        modes = [clock.mode(self.name, done) for done in (clock.done - 1, clock.done)]
+        if clock.done % self.settings.period == 0 and "grow" in modes:
             self.grow()
             self.scaffold.place()
-            self.changed()
+            self.run.anchors_changed()
 
     def grow(self) -> None:
         """Adds and drops anchors. Scaffold.place, and anchors_changed of all stages, must be called afterwards."""
@@ -105,14 +84,14 @@ class Growth(Stage):
         stays = np.flatnonzero(~self._transparent())
         room = max(self.most - len(stays), 0)
         if room < len(cells):
-            chosen = torch.randperm(len(cells), generator=self.random).numpy()[:room]
+            chosen = torch.randperm(len(cells), generator=self.run.random).numpy()[:room]
             cells, owner, edge = cells[chosen], owner[chosen], edge[chosen]
         born = {
             name: table[torch.from_numpy(owner).to(table.device)].clone() for name, table in scaffold.tables.items()
         }
         born["offsets"].zero_()
         born["scalings"][:] = torch.from_numpy(np.log(edge * units.cell * units.length)).float()[:, None]
-        born["masks"].fill_(self.mask_start)
+        born["masks"].fill_(self.run.settings.masks.start)
         scaffold.keep(stays)
         scaffold.add(cells, born)
 
@@ -133,7 +112,7 @@ class Growth(Stage):
         centre, gradient = centre.reshape(-1, 3), mean.reshape(-1)
         added, owners, edges = [scaffold.lattice], [np.zeros(0, np.int64)], [np.zeros(0)]
         for level, edge in enumerate(settings.edges):
-            lucky = torch.rand(len(gradient), generator=self.random).numpy() > settings.chance ** (level + 1)
+            lucky = torch.rand(len(gradient), generator=self.run.random).numpy() > settings.chance ** (level + 1)
             asks = gradient > settings.gradient * settings.ratio**level
             grows = asks & lucky & (np.abs(centre).max(axis=1) < LATTICE_MAX)
             if not grows.any():

@@ -13,10 +13,8 @@ from ..adam import ADAM_EPSILON, adam_torch, added, joined
 from ..cpu.adam import F32, I64, adam_rows, share_rows
 from ..device import has_kernel
 from ..optimisers import learning_rate, moments, restore_moments
-from ..scaffold import TABLES, Scaffold
-from ..schedule import Clock
-from ..settings import LearningSettings
-from ..stage import Stage, Step
+from ..scaffold import TABLES
+from ..stage import Run, Stage, Step
 from ..state import Saved
 
 # Steps between two measurements.
@@ -29,17 +27,16 @@ class Learning(Stage):
     Only the rows that a step has taken are changed.
     """
 
-    settings: LearningSettings
-    scaffold: Scaffold
-    clock: Clock
+    name = "learning"
     optimiser: torch.optim.Adam
 
-    name = "learning"
-
-    def __init__(self, settings: LearningSettings, scaffold: Scaffold, clock: Clock) -> None:
-        self.settings, self.scaffold, self.clock = settings, scaffold, clock
+    def join(self, run: Run) -> None:
+        """As Stage."""
+        super().join(run)
+        self.settings, self.scaffold = run.settings.learning, run.scaffold
         groups = [
-            {"params": scaffold.networks.parameters_of(name), "decay": getattr(settings, name)} for name in RENDERING
+            {"params": run.scaffold.networks.parameters_of(name), "decay": getattr(self.settings, name)}
+            for name in RENDERING
         ]
         self.optimiser = torch.optim.Adam(groups, eps=ADAM_EPSILON, fused=True)
         self.anchors_changed()
@@ -51,10 +48,10 @@ class Learning(Stage):
     def descend(self, step: Step) -> None:
         """A step of Adam."""
         for group in self.optimiser.param_groups:
-            group["lr"] = learning_rate(group["decay"], self.clock.share)
+            group["lr"] = learning_rate(group["decay"], self.run.clock.share)
         self.optimiser.step()
         self.optimiser.zero_grad(set_to_none=True)
-        rates = {name: learning_rate(getattr(self.settings, name), self.clock.share) for name in TABLES}
+        rates = {name: learning_rate(getattr(self.settings, name), self.run.clock.share) for name in TABLES}
         if has_kernel(self.scaffold.tables["features"]):
             self._descend_in_kernel(step, rates)
         else:
@@ -74,7 +71,7 @@ class Learning(Stage):
             rows, place = joints[sets]
             gradient = added(place, [grad for _, grad in given], len(rows))
             table, moments = self.scaffold.tables[name], (self.scaffold.first[name], self.scaffold.second[name])
-            adam_torch(table, *moments, self.clock.done + 1, rows, gradient, rate)
+            adam_torch(table, *moments, self.run.clock.done + 1, rows, gradient, rate)
 
     def _descend_in_kernel(self, step: Step, rates: dict[str, float]) -> None:
         """A step of Adam for the rows of each table that have a gradient.
@@ -104,11 +101,11 @@ class Learning(Stage):
     def _adam(self, name: str, rows: I64, gradient: F32, rate: float) -> None:
         """A step of Adam for some rows of a table."""
         tables = (kind[name].numpy() for kind in (self.scaffold.tables, self.scaffold.first, self.scaffold.second))
-        adam_rows(*tables, self.clock.done + 1, rows, gradient, np.float32(rate))
+        adam_rows(*tables, self.run.clock.done + 1, rows, gradient, np.float32(rate))
 
-    def end(self) -> None:
+    def after_step(self) -> None:
         """Measures the Gaussians of a static scene at intervals, because they change slowly."""
-        if self.clock.done % PERIOD == 0:
+        if self.run.clock.done % PERIOD == 0:
             self.scaffold.measure()
 
     def state(self) -> dict[str, Any]:

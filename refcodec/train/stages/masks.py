@@ -6,17 +6,12 @@ all.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from ...rendering.camera import Camera
-from ..scaffold import Scaffold
-from ..schedule import Clock
-from ..settings import MaskSettings
-from ..stage import Sight, Stage, Step
+from ..stage import Run, Sight, Stage, Step
 from ..state import Saved
 
 
@@ -26,46 +21,32 @@ class Masks(Stage):
     weight: float32 [N]. dropped: the number of anchors that were dropped as lost.
     """
 
-    settings: MaskSettings
-    scaffold: Scaffold
-    cameras: list[Camera]
-    clock: Clock
-    changed: Callable[[], None]
+    name = "masks"
+    needs_rate = True
     dropped: int
     lambda_m: float
-    weight: torch.Tensor
+    weight: Tensor
 
-    name = "masks"
-
-    def __init__(
-        self,
-        settings: MaskSettings,
-        lambda_r: float,
-        scaffold: Scaffold,
-        cameras: list[Camera],
-        clock: Clock,
-        changed: Callable[[], None],
-    ) -> None:
-        """lambda_r: the weight of the rate. cameras: those of training, in its units.
-
-        changed: called after anchors were removed.
-        """
-        self.settings, self.scaffold, self.cameras, self.clock = settings, scaffold, cameras, clock
-        self.changed, self.dropped = changed, 0
-        self.lambda_m = max(settings.least, settings.share * lambda_r)
-        self.weight = torch.ones(scaffold.count, device=scaffold.device)
+    def join(self, run: Run) -> None:
+        """As Stage."""
+        super().join(run)
+        self.settings, self.scaffold = run.settings.masks, run.scaffold
+        self.dropped = 0
+        self.lambda_m = max(self.settings.least, self.settings.share * run.settings.rate.lambda_r)
+        self.weight = torch.ones(run.scaffold.count, device=run.device)
         self._shares: Tensor | None = None
 
     @property
     def on(self) -> bool:
         """Whether offsets may be masked now."""
-        return self.settings.used and self.clock.mode(self.name) == "on"
+        return self.settings.used and self.mode == "on"
 
     def anchors_changed(self) -> None:
         """Counts the views again."""
-        scaffold = self.scaffold
-        used = self.settings.used
-        self.weight = scaffold.views(self.cameras) if used else torch.ones(scaffold.count, device=scaffold.device)
+        run = self.run
+        self.weight = (
+            run.scaffold.views(run.cameras) if self.settings.used else torch.ones(run.scaffold.count, device=run.device)
+        )
 
     def kept(self, logits: Tensor, rows: Tensor) -> Tensor:
         """Masks of 0 and 1, float32 [n, K], of some anchors, with the gradient of their shares."""
@@ -96,14 +77,15 @@ class Masks(Stage):
         """The number of anchors, counted with those that were dropped as lost."""
         return self.scaffold.count + self.dropped
 
-    def end(self) -> None:
+    def after_step(self) -> None:
         """Drops the anchors that are lost, once the rate counts.
 
         A lost anchor has no kept offset. It is in no image and costs time but no bits, and the gradient of its low
         shares rarely restores it. While averaging is on, all anchors stay.
         """
-        late = self.clock.mode("rate") != "off" and self.clock.mode("averaging") == "off"
-        if not (self.on and late) or self.clock.done % self.settings.drop_period:
+        clock = self.run.clock
+        late = clock.mode("rate") != "off" and clock.mode("averaging") == "off"
+        if not (self.on and late) or clock.done % self.settings.drop_period:
             return
         share = torch.sigmoid(self.scaffold.tables["masks"]) * self.weight[:, None]
         stay = (share > self.settings.lost * self.settings.epsilon).any(dim=1)
@@ -112,7 +94,7 @@ class Masks(Stage):
         self.dropped += int((~stay).sum())
         self.scaffold.keep(torch.nonzero(stay)[:, 0].cpu().numpy())
         self.scaffold.place()
-        self.changed()
+        self.run.anchors_changed()
 
     def show(self, sight: Sight) -> None:
         """As Stage."""
@@ -132,5 +114,5 @@ class Masks(Stage):
 
     def restore(self, state: Saved) -> None:
         """As Stage."""
-        self.weight = state.tensor("weight", (self.scaffold.count,), low=0).to(self.scaffold.device)
+        self.weight = state.tensor("weight", (self.scaffold.count,), low=0).to(self.run.device)
         self.dropped = state.integer("dropped", 0)

@@ -10,45 +10,33 @@ from ...bitstream.attributes import KINDS
 from ...encoder.quantise import varying
 from ..cpu.residues import Shown, Symbols
 from ..device import has_kernel
-from ..scaffold import Scaffold
-from ..schedule import Clock
-from ..settings import QuantisationSettings
 from ..stage import Sight, Stage, Step
 
 
 class Quantisation(Stage):
     """Noise in place of rounding, or rounding, with the same gradients."""
 
-    settings: QuantisationSettings
-    scaffold: Scaffold
-    clock: Clock
-    random: torch.Generator
-
     name = "quantisation"
-
-    def __init__(
-        self, settings: QuantisationSettings, scaffold: Scaffold, clock: Clock, random: torch.Generator
-    ) -> None:
-        self.settings, self.scaffold, self.clock, self.random = settings, scaffold, clock, random
+    needs_rate = True
 
     @property
     def rounds(self) -> bool:
         """Whether attributes and planes are rounded."""
-        return self.clock.mode(self.name) == "round"
+        return self.mode == "round"
 
     @property
     def noise(self) -> torch.Generator | None:
         """The source of the noise that stands for rounding; None where values are rounded."""
-        return None if self.rounds else self.random
+        return None if self.rounds else self.run.noise
 
     def base_steps(self) -> Tensor:
         """The base steps of features, scalings and offsets for the anchors as they are, float32 [3]."""
-        settings, features = self.settings, self.scaffold.tables["features"]
+        settings, features = self.run.settings.quantisation, self.run.scaffold.tables["features"]
         # One anchor has no spread.
         deviations = features.std(dim=0).cpu().numpy() if len(features) > 1 else np.zeros(1, np.float32)
         spread = float(torch.from_numpy(varying(deviations)).median()) or 1.0
         steps = [spread * settings.features, settings.scalings, settings.offsets]
-        return torch.tensor(steps, device=self.scaffold.device)
+        return torch.tensor(steps, device=self.run.device)
 
     def residue(self, values: Tensor, step: Tensor) -> Tensor:
         """The number added to values [n, w] in place of rounding, in steps [n, 1]: at most a half. No gradient."""
@@ -56,7 +44,7 @@ class Quantisation(Stage):
             if self.rounds:
                 scaled = values / step
                 return torch.floor(scaled + 0.5) - scaled
-            return torch.rand(values.shape, generator=self.random, device=values.device) - 0.5
+            return torch.rand(values.shape, generator=self.run.noise, device=values.device) - 0.5
 
     def symbols(self, values: list[Tensor], steps: Tensor) -> Tensor:
         """The symbols of k kinds of values, [n, w] each, with steps [n, k], noisy or rounded: [n, sum of w]."""
@@ -68,7 +56,7 @@ class Quantisation(Stage):
 
     def _seed(self) -> int | None:
         """A seed of new noise; None where values are rounded."""
-        return None if self.rounds else int(torch.randint((1 << 63) - 1, (1,), generator=self.random))
+        return None if self.rounds else int(torch.randint((1 << 63) - 1, (1,), generator=self.run.noise))
 
     def prepare(self, step: Step) -> None:
         """Draws the image with the attributes that the decoder will have.

@@ -20,10 +20,7 @@ from ..adam import ADAM_EPSILON
 from ..optimisers import learning_rate, moments, restore_moments
 from ..rate_model.hyperprior import Contexts, VectorMatrix
 from ..rate_model.model import RateModel
-from ..scaffold import Scaffold
-from ..schedule import Clock
-from ..settings import TrainSettings
-from ..stage import Sight, Stage, Step
+from ..stage import Run, Sight, Stage, Step
 from ..start import lattice_positions
 from ..state import Saved
 from .masks import Masks
@@ -52,39 +49,29 @@ class Rate(Stage):
     (float32 [3]), the contexts of all anchors, and the optimiser.
     """
 
-    settings: TrainSettings
-    scaffold: Scaffold
-    clock: Clock
-    random: torch.Generator
+    name = "rate"
+    needs_rate = True
+    model: RateModel | None
     masks: Masks
     quantisation: Quantisation
     hyperprior: VectorMatrix
     frame: Frame | None
-    base_step: torch.Tensor
+    base_step: Tensor
     optimiser: torch.optim.Adam
     contexts: Contexts
 
-    name = "rate"
-
-    def __init__(
-        self,
-        settings: TrainSettings,
-        scaffold: Scaffold,
-        masks: Masks,
-        quantisation: Quantisation,
-        clock: Clock,
-        random: torch.Generator,
-    ) -> None:
-        self.settings, self.scaffold, self.clock, self.random = settings, scaffold, clock, random
-        self.masks, self.quantisation = masks, quantisation
-        self.hyperprior = VectorMatrix(settings.entropy.channels, settings.entropy.frequencies)
-        self.model: RateModel | None = None
+    def join(self, run: Run) -> None:
+        """As Stage."""
+        super().join(run)
+        self.settings, self.scaffold, self.model = run.settings, run.scaffold, None
+        self.masks, self.quantisation = next(run.of(Masks)), next(run.of(Quantisation))
+        self.hyperprior = VectorMatrix(run.settings.entropy.channels, run.settings.entropy.frequencies)
 
     # --- milestones ---------------------------------------------------------------------------------------------------
 
-    def begin(self) -> None:
+    def before_step(self) -> None:
         """Starts the entropy model, and later rounds its activations."""
-        mode = self.clock.mode(self.name)
+        mode = self.mode
         if mode != "off" and self.model is None:
             self.start()
         if mode == "integers" and self.model is not None and not self.model.integers:
@@ -116,9 +103,9 @@ class Rate(Stage):
         mean, deviation = symbols.mean(dim=0).cpu().numpy(), spread.cpu().numpy()
         entropy = self.settings.entropy
         model = RateModel(
-            self.hyperprior, plane_size, width, mean, deviation, self.random, entropy, columns=scaffold.columns
+            self.hyperprior, plane_size, width, mean, deviation, self.run.random, entropy, columns=scaffold.columns
         )
-        model.to(scaffold.device)
+        model.to(self.run.device)
         self.model, self.frame, self.base_step = model, frame, base_step
         self._place()
         groups = [
@@ -135,13 +122,13 @@ class Rate(Stage):
 
     def _place(self) -> None:
         cells, plane_size = lattice_positions(self.scaffold.lattice), self.started().latents.shape[-1]
-        with self.scaffold.device:
+        with self.run.device:
             self.contexts = self.hyperprior.contexts(self.frame, cells, plane_size)
 
     def round_activations(self) -> None:
         """Switches to the decoder's activations, with units from all anchors."""
         model = self.started()
-        symbols, rows = model.symbols(None), torch.arange(self.scaffold.count, device=self.scaffold.device)
+        symbols, rows = model.symbols(None), torch.arange(self.scaffold.count, device=self.run.device)
         with torch.no_grad():
             inputs = self.contexts.inputs(symbols, rows, False)
             step = model.steps(model.activations(inputs))[:, :1] * self.base_step[0]
@@ -180,7 +167,7 @@ class Rate(Stage):
         sampling, everyone = self.settings.sampling, self.settings.sampling.among == "all"
         count = self.scaffold.count if everyone else len(visible)
         some = min(max(int(sampling.share * self.scaffold.count), sampling.least), count)
-        drawn = torch.randperm(count, generator=self.quantisation.random, device=visible.device)[:some]
+        drawn = torch.randperm(count, generator=self.run.noise, device=visible.device)[:some]
         return drawn if everyone else visible[drawn]
 
     def loss(self, step: Step) -> Tensor | None:
@@ -197,7 +184,7 @@ class Rate(Stage):
         # N includes the dropped anchors: the weight of the others' bits does not change when some are dropped.
         symbols_of_all = self.masks.total * self.scaffold.columns.width
         loss = bits.sum() * self.scaffold.count / symbols_of_all
-        if self.clock.done % settings.plane_period == 0:
+        if self.run.clock.done % settings.plane_period == 0:
             # A-RDO: the term is not scaled up for the steps that lack it.
             loss = loss + settings.planes * self.model.plane_bits(planes) / symbols_of_all
         return settings.lambda_r * loss
@@ -209,7 +196,7 @@ class Rate(Stage):
         self.model.hold_scalings()
         torch.nn.utils.clip_grad_norm_(self.model.coding_parameters(), self.settings.learning.clip)
         for group in self.optimiser.param_groups:
-            group["lr"] = learning_rate(group["decay"], self.clock.since(self.name))
+            group["lr"] = learning_rate(group["decay"], self.run.clock.since(self.name))
         self.optimiser.step()
         self.optimiser.zero_grad(set_to_none=True)
 
@@ -263,7 +250,7 @@ class Rate(Stage):
         if not state.names():
             return
         frame = self._restored_frame(state) if self._has_inputs else None
-        base_step = state.tensor("base_step", (len(KINDS),), low=BASE_STEP_MIN).to(self.scaffold.device)
+        base_step = state.tensor("base_step", (len(KINDS),), low=BASE_STEP_MIN).to(self.run.device)
         # The plane size and the width follow from the number of anchors when the rate began, which may have changed.
         latents = state.tensor("model.latents", (None,) * len(self.hyperprior.latent_shape(1)))
         plane_size, width = latents.shape[-1], choose_width(0)
