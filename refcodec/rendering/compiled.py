@@ -8,7 +8,6 @@ other modules, and the versions of refcodec, Python and numba. The folders that 
 
 from __future__ import annotations
 
-import contextlib
 import functools
 import hashlib
 import os
@@ -23,16 +22,16 @@ from typing import Any
 import numba
 import numpy as np
 from numba import njit
-from numba.core.caching import CompileResultCacheImpl, FunctionCache
-from numba.core.dispatcher import Dispatcher
-from numba.core.extending import _Intrinsic
-from numba.misc.appdirs import user_cache_dir
 
 from .. import __version__
 
 # So many folders of a module stay: of other versions, and of sources before they were changed.
 KEPT = 4
+# The free bytes of a disk without which nothing is kept: all functions take about a tenth of them.
+SPACE_LEAST = 256 << 20
 _PACKAGE = __name__.partition(".")[0]
+# Where programs of other systems than Linux keep what they can make again.
+_CACHES = {"darwin": "~/Library/Caches", "win32": os.environ.get("LOCALAPPDATA", "~")}
 
 # Without shared memory, numba warns in several lines that processes cannot take turns to compile. No process of this
 # program shares its functions with another.
@@ -41,14 +40,18 @@ warnings.filterwarnings("ignore", r"\s*Could not obtain multiprocessing lock")
 
 @functools.cache
 def stamp(module: str) -> str:
-    """Returns a digest of all that the functions of a module are compiled of. Raises OSError without its source."""
+    """Returns a digest of all that the functions of a module are compiled of. Raises OSError without its source.
+
+    It is taken when the first of them is defined: what the module imports, and the constants before it.
+    """
     source = sys.modules[module]
     digest = hashlib.sha256(Path(str(source.__file__)).read_bytes())
     for name, value in sorted(vars(source).items()):
-        if isinstance(value, (Dispatcher, _Intrinsic)):
+        home = getattr(value, "__module__", None) or ""
+        if callable(value) and not isinstance(value, type) and home.startswith(f"{_PACKAGE}."):
             # Functions of another module, which may be inlined.
-            if value.__module__ != module and value.__module__.startswith(f"{_PACKAGE}."):
-                digest.update(stamp(value.__module__).encode())
+            if home not in (module, __name__):
+                digest.update(stamp(home).encode())
         elif isinstance(value, np.ndarray):
             digest.update(name.encode() + value.tobytes())
         elif isinstance(value, (bool, int, float, str, tuple, np.generic)) and not name.startswith("__"):
@@ -58,8 +61,10 @@ def stamp(module: str) -> str:
 
 def root() -> Path | None:
     """Returns where the folders of modules are, or None for a user without a home."""
-    place = Path(os.environ.get("NUMBA_CACHE_DIR") or user_cache_dir(_PACKAGE, False))
-    return place if place.is_absolute() or os.environ.get("NUMBA_CACHE_DIR") else None
+    if own := os.environ.get("NUMBA_CACHE_DIR"):
+        return Path(own)
+    place = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser(_CACHES.get(sys.platform, "~/.cache")))
+    return place / _PACKAGE if place.is_absolute() else None
 
 
 @functools.cache
@@ -76,6 +81,8 @@ def _folder(module: str) -> Path | None:
         # Used now.
         os.utime(folder)
         used = sorted(folder.parent.iterdir(), key=lambda path: path.stat().st_mtime, reverse=True)
+        if shutil.disk_usage(folder).free < SPACE_LEAST:
+            return None
     except OSError:
         return None
     for old in used[KEPT:]:
@@ -84,14 +91,14 @@ def _folder(module: str) -> Path | None:
     return folder
 
 
-class _Place:
-    """Where numba keeps a function: a locator of numba's cache."""
+class Place:
+    """Where numba keeps a function: a locator, as numba.config.CACHE_LOCATOR_CLASSES names them."""
 
     def __init__(self, function: Any, folder: Path) -> None:
         self._function, self._folder = function, folder
 
     @classmethod
-    def from_function(cls, function: Any, file: str) -> _Place | None:
+    def from_function(cls, function: Any, file: str) -> Place | None:
         """Returns the place of a function, or None."""
         folder = _folder(function.__module__)
         return None if folder is None else cls(function, folder)
@@ -113,46 +120,6 @@ class _Place:
         return str(self._function.__code__.co_firstlineno)
 
 
-class _Impl(CompileResultCacheImpl):
-    def __init__(self, function: Callable[..., Any]) -> None:
-        self._locator_classes = [_Place]
-        super().__init__(function)
-
-
-class _FunctionCache(FunctionCache):
-    _impl_class = _Impl
-
-
-class _Cache:
-    """numba's cache of a function on disk. One that cannot be read or written costs time and ends nothing.
-
-    It is looked for when the function is called first. By then its module has all that its functions are made of.
-    """
-
-    def __init__(self, function: Callable[..., Any]) -> None:
-        self._function = function
-
-    @functools.cached_property
-    def kept(self) -> FunctionCache | None:
-        """numba's cache, or None if there is no place for it."""
-        # numba raises this if there is none.
-        with contextlib.suppress(RuntimeError, OSError):
-            return _FunctionCache(self._function)
-        return None
-
-    def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Returns what was compiled for some types before, or None."""
-        with contextlib.suppress(OSError):
-            return self.kept and self.kept.load_overload(sig, target_context)
-        return None
-
-    def save_overload(self, sig: Any, data: Any) -> None:
-        """Keeps what was compiled for some types, if there is room."""
-        with contextlib.suppress(OSError):
-            if self.kept:
-                self.kept.save_overload(sig, data)
-
-
 def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """Returns a decorator that compiles a function when it is called, with NumPy's rules for division by zero.
 
@@ -161,9 +128,12 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """
 
     def decorate(function: Callable[..., Any]) -> Any:
-        dispatcher = njit(error_model="numpy", **options)(function)
-        dispatcher._cache = _Cache(function)
-        return dispatcher
+        # Functions of other packages keep numba's own places.
+        before, numba.config.CACHE_LOCATOR_CLASSES = numba.config.CACHE_LOCATOR_CLASSES, f"{__name__}.{Place.__name__}"
+        try:
+            return njit(error_model="numpy", cache=_folder(function.__module__) is not None, **options)(function)
+        finally:
+            numba.config.CACHE_LOCATOR_CLASSES = before
 
     return decorate
 

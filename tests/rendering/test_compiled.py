@@ -6,10 +6,13 @@ import os
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 pytest.importorskip("numba")
+
+import numba
 
 import refcodec
 from refcodec.rendering import blending, compiled, constants, simd, tiles
@@ -39,14 +42,15 @@ def test_a_function_is_kept_outside_the_package(cache: Path) -> None:
     """What one process has compiled another one loads."""
     made = [compiled.compiled()(twice) for _ in range(2)]
     assert [function(21) for function in made] == [42, 42]
-    assert [sum(function._cache_hits.values()) for function in made] == [0, 1]
+    assert [sum(function.stats.cache_hits.values()) for function in made] == [0, 1]
+    # Functions of other packages keep numba's own places.
+    assert not Path(numba.njit(cache=True)(twice).stats.cache_path).is_relative_to(cache / __name__)
     folder = compiled._folder(__name__)
     assert folder is not None
     assert folder.parent == cache / __name__
     assert folder.name.startswith(f"{refcodec.__version__}-")
     assert {path.suffix for path in folder.iterdir()} == {".nbi", ".nbc"}
-    kept = blending.blend_tiles._cache.kept
-    assert not Path(kept.cache_path).is_relative_to(PACKAGE)
+    assert not Path(blending.blend_tiles.stats.cache_path).is_relative_to(PACKAGE)
 
 
 def changed(module: object, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -111,5 +115,11 @@ def test_a_folder_that_another_process_removes_is_made_again(cache: Path) -> Non
 def test_a_place_that_cannot_be_written_ends_nothing(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (cache / "file").touch()
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(cache / "file"))
+    assert not compiled.is_kept()
+    assert compiled.compiled()(twice)(3) == 6
+
+
+def test_a_full_disk_ends_nothing(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=compiled.SPACE_LEAST - 1))
     assert not compiled.is_kept()
     assert compiled.compiled()(twice)(3) == 6
