@@ -1,14 +1,19 @@
-"""JSON and TOML documents from outside, within bounds of size, depth, encoding and numbers."""
+"""JSON and TOML documents from outside, within bounds of size, depth, encoding and numbers, as typed values."""
 
 from __future__ import annotations
 
 import json
 import math
+import re
 import tomllib
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
+
+import msgspec
+
+from .text import printable
 
 # The maximum bytes of a JSON document and of a file of settings.
 SIZE_MAX = 64 << 20
@@ -18,9 +23,29 @@ DEPTH_MAX = 64
 # The maximum digits of an integer: more than any 64-bit number has, so that range checks report their own error.
 DIGITS_MAX = 40
 
+T = TypeVar("T")
+
+# What msgspec calls the types of values, and the most characters that an error repeats of a value.
+_WORDS = {
+    **{"int": "an integer", "float": "a number", "str": "a text", "bool": "true or false", "array": "a list"},
+    **{"object": "an object", "null": "null"},
+}
+_SHOWN = 60
+
 
 class DocumentError(ValueError):
     """A document that is not JSON or TOML within the bounds. The text states the problem, without the file's name."""
+
+
+class FieldError(DocumentError):
+    """A value of a document that is missing, not known or not allowed.
+
+    name: its path in the document, such as grid.origin[0]. problem: the predicate, such as "is missing".
+    """
+
+    def __init__(self, name: str, problem: str) -> None:
+        self.name, self.problem = name, problem
+        super().__init__(f"{name or 'it'} {problem}")
 
 
 def parse_json(data: bytes | str, most: int = SIZE_MAX) -> Any:
@@ -47,6 +72,26 @@ def read_json(path: Path, most: int = SIZE_MAX) -> Any:
     """Returns the value of a JSON file. Raises DocumentError as parse_json, and OSError."""
     with path.open("rb") as file:
         return parse_json(file.read(most + 1), most)
+
+
+def checked(value: Any, kind: type[T]) -> T:
+    """Returns a value of a document as a type of msgspec: a Struct, a dataclass, or one with the bounds of a Meta.
+
+    Raises FieldError, whose problem states the value and what is required.
+    """
+    try:
+        return msgspec.convert(value, kind)
+    except msgspec.ValidationError as error:
+        problem, _, path = str(error).partition(" - at `$")
+    name = path.removesuffix("`").removeprefix(".")
+    if absent := re.fullmatch(r"Object (missing required|contains unknown) field `(.*)`", problem):
+        raise FieldError(f"{name}.{absent[2]}".lstrip("."), "is missing" if absent[1][0] == "m" else "is not known")
+    # A key of a dictionary is "...".
+    for key, index in re.findall(r"(\w+)|\[(\d+)\]", name.partition("[...]")[0]):
+        value = value[key] if key else value[int(index)]
+    required = problem.removeprefix("Expected ").partition(", got ")[0]
+    required = re.sub(r"`([^`]+)`", lambda words: re.sub(r"\w+", lambda word: _WORDS[word[0]], words[1]), required)
+    raise FieldError(name, f"is {printable(repr(value), _SHOWN)}: {required} is required")
 
 
 def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Arrays of safetensors files: bounded reading, and writing by blocks of rows."""
+"""Arrays of safetensors files: bounded reading of expected ones, networks, and writing by blocks of rows."""
 
 # safetensors is imported where it is used, so that a decode that fails does not wait for it.
 # ruff: noqa: PLC0415
@@ -7,21 +7,27 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .layout import SceneFolderError
+from ..bitstream.networks import Layer
+from ..files.stage import new_file
+from .layout import SCENE_FILE, SceneFolderError
 
 # A scene has at most a hundred arrays, each with a name, a shape and offsets.
 HEADER_MAX = 1 << 20
 
 
-def read_arrays(file: Path, advice: str) -> dict[str, NDArray[Any]]:
-    """Returns the arrays of a file by name. advice: the remedy in errors. Raises SceneFolderError."""
+# The shape and the dtype of each expected array, by name.
+Wanted = Mapping[str, tuple[tuple[int, ...], type[np.generic]]]
+
+
+def read_arrays(file: Path, again: str) -> dict[str, NDArray[Any]]:
+    """Returns the arrays of a file by name. again: the remedy in errors. Raises SceneFolderError."""
     from safetensors import SafetensorError
     from safetensors.numpy import load_file
 
@@ -29,13 +35,66 @@ def read_arrays(file: Path, advice: str) -> dict[str, NDArray[Any]]:
         with file.open("rb") as opened:
             header = int.from_bytes(opened.read(8), "little")
         if header > HEADER_MAX:
-            raise SceneFolderError(file, f"its header has {header} bytes, but at most {HEADER_MAX} are allowed", advice)
+            raise SceneFolderError(file, f"its header has {header} bytes, but at most {HEADER_MAX} are allowed", again)
         return load_file(file)
     except SceneFolderError:
         raise
     # The safetensors package raises KeyError or TypeError for a dtype that NumPy does not have.
     except (SafetensorError, ValueError, KeyError, TypeError, OSError) as error:
-        raise SceneFolderError(file, f"it cannot be read ({error})", advice) from None
+        raise SceneFolderError(file, f"it cannot be read ({error})", again) from None
+
+
+def check_arrays(file: Path, arrays: Mapping[str, NDArray[Any]], wanted: Wanted, again: str) -> None:
+    """Raises SceneFolderError if a file has other arrays than expected, or one of another shape or dtype, or with NaN.
+
+    again: the remedy for a missing array, or one with a NaN or an infinity.
+    """
+    for name in sorted(wanted.keys() | arrays.keys()):
+        if name not in arrays:
+            raise SceneFolderError(file, f"the array {name} is missing", again)
+        if name not in wanted:
+            raise SceneFolderError(
+                file, f"the array {name} is not known", f"remove it, or correct the dimensions in {SCENE_FILE}"
+            )
+        (shape, dtype), array = wanted[name], arrays[name]
+        if array.shape != shape or array.dtype != dtype:
+            problem = f"{name} is {array.dtype}{list(array.shape)}, but must be {np.dtype(dtype)}{list(shape)}"
+            raise SceneFolderError(file, problem, f"correct the array, or {again}")
+        if not np.isfinite(array).all():
+            raise SceneFolderError(file, f"{name} has a NaN or an infinity", again)
+
+
+def _layers(networks: Mapping[str, Sequence[Any]]) -> Iterator[tuple[str, str, int, int]]:
+    """Yields the name of each weight and bias, its network, its layer, and 0 for a weight or 1 for a bias."""
+    for network, layers in networks.items():
+        for index in range(len(layers)):
+            for kind, part in enumerate(("weight", "bias")):
+                yield f"{network}.{index}.{part}", network, index, kind
+
+
+def read_networks(
+    file: Path, arrays: Mapping[str, NDArray[Any]], shapes: Mapping[str, Sequence[tuple[int, int]]], again: str
+) -> dict[str, list[Layer]]:
+    """Returns the networks of a file. shapes: [out, in] of each layer. arrays, again: as for check_arrays."""
+    wanted = {name: (shapes[network][i][: 2 - kind], np.float32) for name, network, i, kind in _layers(shapes)}
+    check_arrays(file, arrays, wanted, again)
+    return {
+        network: [(arrays[f"{network}.{i}.weight"], arrays[f"{network}.{i}.bias"]) for i in range(len(layers))]
+        for network, layers in shapes.items()
+    }
+
+
+def write_networks(file: Path, networks: Mapping[str, list[Layer]]) -> None:
+    """Writes networks to a new file. Raises OSError."""
+    write_arrays(file, {name: networks[network][i][kind] for name, network, i, kind in _layers(networks)})
+
+
+def write_arrays(file: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
+    """Writes arrays to a new file. Raises OSError."""
+    from safetensors.numpy import save
+
+    with new_file(file) as opened:
+        opened.write(save({name: np.ascontiguousarray(array) for name, array in arrays.items()}))
 
 
 # The dtype names in a header.

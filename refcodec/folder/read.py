@@ -5,40 +5,28 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from msgspec.structs import astuple
 from numpy.typing import NDArray
 
 from ..bitstream.ancillary import is_safe_to_copy
 from ..bitstream.attributes import ATTRIBUTE_SYMBOL_MAX, KINDS, SCALINGS, Attributes, zero_attributes
 from ..bitstream.dimensions import Dimensions, layers_of, mask_contexts
-from ..bitstream.frame import FRAME_RANGE_BOUND, FRAME_SHIFT_MAX, MATRIX_BOUND, TRANSLATION_BOUND, Frame
-from ..bitstream.header import (
-    BASE_STEP_MAX,
-    BASE_STEP_MIN,
-    LANES_LOG2_MAX,
-    MAJOR,
-    ORIGIN_BOUND,
-    SCALE_EXPONENT_MAX,
-    Lanes,
-    PositionGrid,
-    RenderInfo,
-)
+from ..bitstream.frame import Frame
+from ..bitstream.header import LANES_LOG2_MAX, PositionGrid, RenderInfo
 from ..bitstream.limits import PROFILES, dimension_fault
-from ..bitstream.networks import Layer
 from ..bitstream.planes import PLANE_SYMBOL_MAX, PLANES
-from ..bitstream.positions import CELL_INDEX, HALVES, POSITION_MODELS, PositionModel
+from ..bitstream.positions import PositionModel
 from ..bitstream.reconstruction import digest, reconstruct
 from ..bitstream.scene import Ancillary, Scene
-from ..bitstream.tables import STEP_LENGTH, TOTAL
-from ..bitstream.weights import CARM_SHIFT_MAX, PLANE_SHIFT_MAX
-from .arrays import read_arrays
-from .document import Document
+from ..bitstream.tables import STEP_LENGTH
+from ..files.text import printable
+from .arrays import Wanted, check_arrays, read_arrays, read_networks
+from .document import Document, SceneFile, single
 from .layout import (
     CODED_FILE,
     NETWORKS_FILE,
@@ -51,6 +39,8 @@ from .layout import (
     there,
 )
 from .ply import Columns, ply_values, read_cloud
+
+AGAIN = "restore it, or decode again"
 
 
 def read_folder(path: str | Path) -> Scene:
@@ -65,23 +55,20 @@ def read_folder(path: str | Path) -> Scene:
         )
     for name, advice in (
         (SCENE_FILE, "it is not a scene folder, or its writing was interrupted: decode or fit again"),
-        (PLY_FILE, "restore it, or decode again"),
-        (NETWORKS_FILE, "restore it, or decode again"),
-        (PLANES_FILE, "restore it, or decode again"),
+        (PLY_FILE, AGAIN),
+        (NETWORKS_FILE, AGAIN),
+        (PLANES_FILE, AGAIN),
     ):
         if not there(path / name, advice):
             raise SceneFolderError(path / name, "the file is missing", advice)
-    document = Document(path / SCENE_FILE)
-    document.integer("version", MAJOR, MAJOR)
-    render = read_render(document)
-    d, profile = _read_dimensions(document, render.render_model)
-    bare = _read_document(document, d, profile, render, path)
+    document = Document(path / SCENE_FILE, SceneFile)
+    bare = _read_document(document, path)
     if not there(path / CODED_FILE, f"restore it, or remove it so that encode quantises {PLY_FILE} again"):
         return _without_unsafe(_requantise(bare, path))
     scene = _read_coded(bare, document, path)
     _compare_ply(scene, path)
     _compare_digest(scene, document)
-    unchanged = document.root.get("fingerprint") == fingerprint(document.root)
+    unchanged = document.values.fingerprint == fingerprint(document.root)
     return scene if unchanged else _without_unsafe(scene)
 
 
@@ -91,227 +78,118 @@ def _without_unsafe(scene: Scene) -> Scene:
     return replace(scene, ancillary=tuple(a for a in scene.ancillary if is_safe_to_copy(a.type)))
 
 
-def _read_dimensions(doc: Document, render_model: int) -> tuple[Dimensions, int]:
+def _read_dimensions(doc: Document[SceneFile], render_model: int) -> tuple[Dimensions, int]:
     names = {p.name: number for number, p in PROFILES.items()}
-    profile = doc.value("profile")
-    if not isinstance(profile, str) or profile not in names:
-        raise doc.fault("profile", f"is {profile!r}, one of {', '.join(names)} is required")
-
-    def one(name: str) -> int:
-        return doc.integer(f"dimensions.{name}", 0, 65535)
-
-    def several(name: str) -> tuple[int, ...]:
-        return tuple(doc.integers(f"dimensions.{name}", None, 0, 65535))
-
-    d = Dimensions(
-        one("offset_count"),
-        several("slices"),
-        one("plane_channels"),
-        one("frequency_count"),
-        one("plane_size"),
-        several("hyper_width"),
-        several("sarm_width"),
-        several("carm_width"),
-        one("render_width"),
-        one("view_inputs"),
-        one("colour_outputs"),
-    )
-    fault = dimension_fault(PROFILES[names[profile]], d, render_model)
+    profile = doc.values.profile
+    if profile not in names:
+        raise doc.fault("profile", f"is {printable(profile, 60)!r}: one of {', '.join(names)} is required")
+    fault = dimension_fault(PROFILES[names[profile]], doc.values.dimensions, render_model)
     if fault:
-        raise doc.fault("dimensions", f"do not fit the profile: {fault[1]}")
-    return d, names[profile]
+        field, value, allowed = fault
+        raise doc.fault(f"dimensions.{field}", f"is {value}, but must be {allowed}")
+    return doc.values.dimensions, names[profile]
 
 
-def _read_document(doc: Document, d: Dimensions, profile: int, render: RenderInfo, path: Path) -> Scene:
-    """Returns the scene without anchors, which are in coded.safetensors.
-
-    SPEC 15.3: the minor version and unknown header bytes are those of the source.
-    """
-    base_step = doc.floats("base_step", 3)
-    if not all(BASE_STEP_MIN <= step <= BASE_STEP_MAX for step in base_step):
-        raise doc.fault("base_step", f"is {base_step}, but must be {BASE_STEP_MIN} to {BASE_STEP_MAX}")
-    origin = doc.integers("grid.origin", 3, 1 - ORIGIN_BOUND, ORIGIN_BOUND - 1)
-    grid = PositionGrid(
-        (origin[0], origin[1], origin[2]),
-        doc.integer("grid.scale_mantissa", 1, 65535),
-        doc.integer("grid.scale_exponent", -SCALE_EXPONENT_MAX, SCALE_EXPONENT_MAX),
-    )
-    lanes = Lanes(*(doc.integer(f"lanes.{name}", 0, LANES_LOG2_MAX) for name in ("plane", "mask", "attribute")))
-    frame = _read_frame(doc) if d.has_frame else None
-    planes = _tensors(
-        path / PLANES_FILE, {"planes": ((PLANES, d.plane_channels, d.plane_size, d.plane_size), np.int16)}
-    )["planes"]
+def _read_document(doc: Document[SceneFile], path: Path) -> Scene:
+    """Returns the scene without anchors, which are in coded.safetensors."""
+    values, render = doc.values, RenderInfo(*single(astuple(doc.values.render)))
+    d, profile = _read_dimensions(doc, render.render_model)
+    if d.has_frame and values.frame is None:
+        raise doc.fault("frame", "is missing")
+    low, high = PROFILES[profile].chunk_size
+    if not low <= values.chunk_size <= high:
+        raise doc.fault("chunk_size", f"is {values.chunk_size}: an integer from {low} to {high} is required")
+    if not all(0 <= log2 <= LANES_LOG2_MAX for log2 in vars(values.lanes).values()):
+        raise doc.fault("lanes", f"are {vars(values.lanes)}: integers from 0 to {LANES_LOG2_MAX} are required")
+    shape = (PLANES, d.plane_channels, d.plane_size, d.plane_size)
+    planes = _arrays(path / PLANES_FILE, {"planes": (shape, np.int16)})["planes"]
     if planes.min(initial=0) < -PLANE_SYMBOL_MAX:
         raise SceneFolderError(
             path / PLANES_FILE, "a plane symbol is -32768", f"keep symbols within +-{PLANE_SYMBOL_MAX}"
         )
+    weights = path / NETWORKS_FILE
+    layers, scales, forms = len(layers_of(d)), None, None
+    if values.weight_scales is not None:
+        scales = np.array(doc.sized("weight_scales", layers), np.uint8)
+        if values.weight_forms is not None:
+            forms = np.array(doc.sized("weight_forms", layers), np.uint8)
     return Scene(
         profile=profile,
         dimensions=d,
-        chunk_size=doc.integer("chunk_size", *PROFILES[profile].chunk_size),
-        lanes=lanes,
-        base_step=(base_step[0], base_step[1], base_step[2]),
-        grid=grid,
+        chunk_size=values.chunk_size,
+        lanes=values.lanes,
+        base_step=single(values.base_step),
+        grid=PositionGrid(*astuple(values.grid)),
         render=render,
-        frame=frame,
-        plane_shift=doc.integer("plane_shift", 0, PLANE_SHIFT_MAX),
-        carm_shift=np.array(doc.integers("carm_shift", d.carm_inputs, 0, CARM_SHIFT_MAX), dtype=np.uint8),
-        networks=_read_networks(d, path / NETWORKS_FILE),
+        frame=Frame(*(np.array(v, np.int64) for v in astuple(values.frame))) if d.has_frame and values.frame else None,
+        plane_shift=values.plane_shift,
+        carm_shift=np.array(doc.sized("carm_shift", d.carm_inputs), np.uint8),
+        networks=read_networks(weights, read_arrays(weights, AGAIN), d.network_shapes(), AGAIN),
         planes=planes,
-        mask_model=np.array(doc.integers("mask_model", mask_contexts(d.offset_count), 1, TOTAL - 1), dtype=np.uint16),
+        mask_model=np.array(doc.sized("mask_model", mask_contexts(d.offset_count)), np.uint16),
         positions=np.zeros((0, 3), np.float16),
         masks=np.zeros((0, d.offset_count), bool),
         attributes=zero_attributes(d, 0),
         ancillary=_read_ancillary(doc, path),
         position_model=_read_position_model(doc),
-        weight_scales=_read_weight_scales(doc, d),
-        weight_forms=_read_weight_forms(doc, d),
-        minor=doc.integer("minor", 0, 65535) if "minor" in doc.root else 0,
-        later=bytes(doc.integers("later", None, 0, 255)) if "later" in doc.root else b"",
+        weight_scales=scales,
+        weight_forms=forms,
+        minor=values.minor,
+        later=bytes(values.later),
     )
 
 
-def _read_frame(doc: Document) -> Frame:
-    """Returns the frame (SPEC 5.7)."""
-    return Frame(
-        np.array(
-            [doc.integers(f"frame.matrix[{i}]", 3, 1 - MATRIX_BOUND, MATRIX_BOUND - 1) for i in range(3)],
-            dtype=np.int64,
-        ),
-        np.array(doc.integers("frame.translation", 3, 1 - TRANSLATION_BOUND, TRANSLATION_BOUND - 1), dtype=np.int64),
-        np.array(doc.integers("frame.shift", 3, 0, FRAME_SHIFT_MAX), dtype=np.int64),
-        np.array(doc.integers("frame.low", 3, -FRAME_RANGE_BOUND, FRAME_RANGE_BOUND - 1), dtype=np.int64),
-        np.array(doc.integers("frame.high", 3, -FRAME_RANGE_BOUND, FRAME_RANGE_BOUND), dtype=np.int64),
-    )
-
-
-def _read_weight_scales(doc: Document, d: Dimensions) -> NDArray[np.uint8] | None:
-    """Returns the scale indices of packed weights (SPEC 5.9), uint8 [layers, 3]; None if weights are not packed."""
-    if "weight_scales" not in doc.root:
-        return None
-    rows = [doc.integers(f"weight_scales[{i}]", 3, 0, 255) for i in range(len(layers_of(d)))]
-    return np.array(rows, dtype=np.uint8)
-
-
-def _read_weight_forms(doc: Document, d: Dimensions) -> NDArray[np.uint8] | None:
-    """Returns the forms of packed weights (SPEC 5.9), uint8 [layers], or None if the encoder chooses them."""
-    if "weight_forms" not in doc.root or "weight_scales" not in doc.root:
-        return None
-    return np.array(doc.integers("weight_forms", len(layers_of(d)), 0, 1), dtype=np.uint8)
-
-
-def _read_chunks(doc: Document, n: int) -> tuple[tuple[int, ...] | None, tuple[int, ...] | None]:
+def _read_chunks(doc: Document[SceneFile], n: int) -> tuple[tuple[int, ...] | None, tuple[int, ...] | None]:
     """Returns the anchor count and the position form of each chunk, or None for the encoder's choice. n: N."""
-    anchors = forms = None
-    if "chunk_anchors" in doc.root:
-        anchors = tuple(doc.integers("chunk_anchors", None, 1, max(n, 1)))
-        if sum(anchors) != n:
-            raise doc.fault("chunk_anchors", f"adds up to {sum(anchors)}, but anchor_count is {n}")
-        if "position_forms" in doc.root:
-            forms = tuple(doc.integers("position_forms", len(anchors), 0, 1))
-    return anchors, forms
+    anchors = doc.values.chunk_anchors
+    if anchors is None:
+        return None, None
+    if sum(anchors) != n:
+        raise doc.fault("chunk_anchors", f"adds up to {sum(anchors)}, but anchor_count is {n}")
+    forms = doc.values.position_forms
+    return tuple(anchors), None if forms is None else tuple(doc.sized("position_forms", len(anchors)))
 
 
-def _read_position_model(doc: Document) -> PositionModel | None:
+def _read_position_model(doc: Document[SceneFile]) -> PositionModel | None:
     """Returns the model of packed positions (SPEC 5.15), or None if positions are not packed."""
-    if "position_model" not in doc.root:
+    found = doc.values.position_model
+    if found is None:
         return None
-    frequency = [doc.integers(f"position_model.frequency[{i}]", HALVES, 0, TOTAL) for i in range(POSITION_MODELS)]
-    model = PositionModel(doc.integer("position_model.cell_shift", 0, CELL_INDEX), np.array(frequency, dtype=np.uint16))
+    model = PositionModel(found.cell_shift, np.array(found.frequency, np.uint16))
     fault = model.fault()
     if fault is not None:
         raise doc.fault(f"position_model.frequency[{fault}]", "is not a model (SPEC.md 6.10)")
     return model
 
 
-_CODE_POINTS = ("colour_primaries", "transfer_characteristics", "render_model")
-
-
-def read_render(doc: Document) -> RenderInfo:
-    """SPEC [R6.5-1]: returns the render information of a document, under "render". Raises SceneFolderError."""
-
-    def scalar(name: str, right: Callable[[float], bool], allowed: str) -> float:
-        value = doc.float(f"render.{name}")
-        if not right(value):
-            raise doc.fault(f"render.{name}", f"is {value}, {allowed} is required")
-        return value
-
-    background = doc.integers("render.background", 3, 0, 255)
-    return RenderInfo(
-        (background[0], background[1], background[2]),
-        doc.integer("render.up_axis", 0, 5),
-        scalar("near_plane", lambda x: x > 0, "a number above 0"),
-        scalar("distance_unit", lambda x: x > 0, "a number above 0"),
-        scalar("alpha_max", lambda x: 0 < x <= 1, "a number above 0 and at most 1"),
-        scalar("low_pass", lambda x: x >= 0, "a number of at least 0"),
-        *(doc.integer(f"render.{name}", 0, 255) for name in _CODE_POINTS),
-    )
-
-
-def _read_ancillary(doc: Document, path: Path) -> tuple[Ancillary, ...]:
-    entries = doc.value("ancillary")
-    if not isinstance(entries, list) or not all(isinstance(e, dict) for e in entries):
-        raise doc.fault("ancillary", "is not a list of objects")
+def _read_ancillary(doc: Document[SceneFile], path: Path) -> tuple[Ancillary, ...]:
     found: list[Ancillary] = []
-    for i in range(len(entries)):
-        at = f"ancillary[{i}]"
-        text = doc.value(f"{at}.type")
-        if not isinstance(text, str) or not re.fullmatch("[a-z][A-Za-z]{3}", text):
-            raise doc.fault(f"{at}.type", f"is {text!r}, but must be four letters, the first one in lower case")
-        kind = text.encode()
+    for i, entry in enumerate(doc.values.ancillary):
+        kind = entry.type.encode()
         # Only the expected name is allowed, so that scene.json cannot point outside the folder.
         name = ancillary_name(i, kind)
-        if doc.value(f"{at}.file") != name:
-            raise doc.fault(f"{at}.file", f"is {doc.value(f'{at}.file')!r}, but must be {name!r}")
+        if entry.file != name:
+            raise doc.fault(f"ancillary[{i}].file", f"is {printable(entry.file, 60)!r}, but must be {name!r}")
         advice = f'restore it, or delete its entry in "ancillary" of {SCENE_FILE}'
         if not there(path / name, advice):
             raise SceneFolderError(path / name, "the file is missing", advice)
-        mode, after = doc.integer(f"{at}.mode", 0, 255), doc.integer(f"{at}.after", 0, 5)
-        found.append(Ancillary(kind, mode, (path / name).read_bytes(), after))
+        found.append(Ancillary(kind, entry.mode, (path / name).read_bytes(), entry.after))
     return tuple(found)
 
 
-def _tensors(file: Path, wanted: dict[str, tuple[tuple[int, ...], type[np.generic]]]) -> dict[str, NDArray[Any]]:
-    """Returns the arrays of a safetensors file by name. wanted: the shape and the dtype of each.
-
-    Raises SceneFolderError if the file has other arrays, or one of another shape or dtype.
-    """
-    arrays = read_arrays(file, "restore it, or decode again")
-    for name in sorted(wanted.keys() | arrays.keys()):
-        if name not in arrays:
-            raise SceneFolderError(file, f"the array {name} is missing", "restore it, or decode again")
-        if name not in wanted:
-            raise SceneFolderError(
-                file, f"the array {name} is not known", f"remove it, or correct the dimensions in {SCENE_FILE}"
-            )
-        (shape, dtype), array = wanted[name], arrays[name]
-        if array.shape != shape or array.dtype != dtype:
-            problem = f"{name} is {array.dtype}{list(array.shape)}, but must be {np.dtype(dtype)}{list(shape)}"
-            raise SceneFolderError(file, problem, f"correct the array, or the numbers in {SCENE_FILE}")
+def _arrays(file: Path, wanted: Wanted) -> dict[str, NDArray[Any]]:
+    """Returns the arrays of a file by name. Raises SceneFolderError, as check_arrays."""
+    arrays = read_arrays(file, AGAIN)
+    check_arrays(file, arrays, wanted, AGAIN)
     return arrays
 
 
-def _read_networks(d: Dimensions, file: Path) -> dict[str, list[Layer]]:
-    shapes = d.network_shapes()
-    wanted: dict[str, tuple[tuple[int, ...], type[np.generic]]] = {}
-    for name, layers in shapes.items():
-        for index, (out, fan_in) in enumerate(layers):
-            wanted[f"{name}.{index}.weight"] = ((out, fan_in), np.float32)
-            wanted[f"{name}.{index}.bias"] = ((out,), np.float32)
-    arrays = _tensors(file, wanted)
-    for name, array in arrays.items():
-        if not np.isfinite(array).all():
-            raise SceneFolderError(file, f"{name} has a NaN or an infinity", "train or export the networks again")
-    return {
-        name: [(arrays[f"{name}.{i}.weight"], arrays[f"{name}.{i}.bias"]) for i in range(len(layers))]
-        for name, layers in shapes.items()
-    }
-
-
-def _read_coded(bare: Scene, doc: Document, path: Path) -> Scene:
+def _read_coded(bare: Scene, doc: Document[SceneFile], path: Path) -> Scene:
     d, file = bare.dimensions, path / CODED_FILE
-    n = doc.integer("anchor_count", 0, (1 << 32) - 1)
-    arrays = _tensors(
+    if "anchor_count" not in doc.root:
+        raise doc.fault("anchor_count", "is missing")
+    n = doc.values.anchor_count
+    arrays = _arrays(
         file,
         {
             "positions": ((n, 3), np.uint16),
@@ -381,13 +259,14 @@ def _compare_ply(scene: Scene, path: Path) -> None:
             raise SceneFolderError(file, problem, advice)
 
 
-def _compare_digest(scene: Scene, doc: Document) -> None:
+def _compare_digest(scene: Scene, doc: Document[SceneFile]) -> None:
     """Raises SceneFolderError if the digest in scene.json is not the scene's. Without a digest, nothing is checked."""
-    if "digest" not in doc.root:
+    stated = doc.values.digest
+    if stated is None:
         return
     whole, parts = digest(scene)
     for name, value in {**parts, "whole": whole}.items():
-        if doc.value(f"digest.{name}") != value:
+        if stated.get(name) != value:
             problem = f'"digest.{name}" does not fit the folder\'s {"files" if name == "whole" else name}'
             raise SceneFolderError(doc.file, problem, 'decode again, or delete "digest" if the change is meant')
 

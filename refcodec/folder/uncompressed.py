@@ -6,9 +6,6 @@ render.json             the render information of SPEC.md 5.5, the cameras as in
                         default view, and the edge of the voxels whose corners are the anchors, if it is known
 """
 
-# safetensors is imported where it is used, so that the other commands start fast.
-# ruff: noqa: PLC0415
-
 from __future__ import annotations
 
 import json
@@ -18,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from msgspec.structs import astuple
 from numpy.typing import NDArray
 
 from ..bitstream.cameras import NamedCamera
@@ -26,14 +24,12 @@ from ..bitstream.header import RenderInfo
 from ..bitstream.networks import Layer
 from ..bitstream.reconstruction import Reconstruction
 from ..files.stage import new_file
-from .arrays import read_arrays
-from .document import Document
-from .layout import NETWORKS_FILE, PLY_FILE, RENDER_FILE, UNCOMPRESSED, SceneFolderError, replace_scene, there
+from .arrays import read_arrays, read_networks, write_networks
+from .document import Document, RenderFile, single
+from .layout import NETWORKS_FILE, PLY_FILE, RENDER_FILE, UNCOMPRESSED, replace_scene, there
 from .ply import read_cloud, write_cloud
 
 AGAIN = "train it again"
-# SPEC 5.17 counts cameras in 16 bits.
-CAMERAS_MAX = (1 << 16) - 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,22 +66,12 @@ class Uncompressed:
 
 def _read_networks(file: Path, offsets: int, features: int) -> dict[str, list[Layer]]:
     """Returns the rendering networks of a file (SPEC 14.3). offsets: K. features: F. Raises SceneFolderError."""
-    arrays = read_arrays(file, AGAIN)
-    outputs = dict(zip(RENDERING, (offsets, 7 * offsets, 3 * offsets), strict=True))
-    networks: dict[str, list[Layer]] = {}
-    for name, out in outputs.items():
+    arrays, shapes = read_arrays(file, AGAIN), {}
+    for name, out in zip(RENDERING, (offsets, 7 * offsets, 3 * offsets), strict=True):
         # The hidden layer may have any width.
-        hidden = len(arrays.get(f"{name}.0.bias", ())) if arrays.get(f"{name}.0.bias", np.zeros(0)).ndim == 1 else 0
-        layers = []
-        for i, shape in enumerate(((hidden, features + 4), (out, hidden))):
-            found = [arrays.get(f"{name}.{i}.{part}") for part in ("weight", "bias")]
-            for part, array, wanted in zip(("weight", "bias"), found, (shape, shape[:1]), strict=True):
-                if array is None or array.shape != wanted or array.dtype != np.float32 or not np.isfinite(array).all():
-                    problem = f"{name}.{i}.{part} is missing, or not finite float32 numbers {list(wanted)}"
-                    raise SceneFolderError(file, problem, AGAIN)
-            layers.append((found[0], found[1]))
-        networks[name] = layers  # type: ignore[assignment]
-    return networks
+        hidden = arrays[f"{name}.0.bias"].size if f"{name}.0.bias" in arrays else 0
+        shapes[name] = [(hidden, features + 4), (out, hidden)]
+    return read_networks(file, arrays, shapes, AGAIN)
 
 
 def is_uncompressed(path: Path) -> bool:
@@ -99,17 +85,8 @@ def write_uncompressed(scene: Uncompressed, path: Path) -> None:
 
 
 def _write_files(scene: Uncompressed, path: Path) -> None:
-    from safetensors.numpy import save
-
     write_cloud(scene.values, scene.masks, path / PLY_FILE)
-    networks = {
-        f"{name}.{index}.{part}": np.ascontiguousarray(value)
-        for name in RENDERING
-        for index, layer in enumerate(scene.networks[name])
-        for part, value in zip(("weight", "bias"), layer, strict=True)
-    }
-    with new_file(path / NETWORKS_FILE) as file:
-        file.write(save(networks))
+    write_networks(path / NETWORKS_FILE, {name: scene.networks[name] for name in RENDERING})
     with new_file(path / RENDER_FILE) as file:
         file.write(render_document(scene.render, scene.cameras, scene.voxel))
 
@@ -125,51 +102,18 @@ def render_document(render: RenderInfo, cameras: Sequence[NamedCamera], voxel: f
 
 def read_render_document(file: Path) -> tuple[RenderInfo, tuple[NamedCamera, ...], float | None]:
     """Returns the render information, the cameras and the voxel of a render.json. Raises SceneFolderError."""
-    from .read import read_render
-
-    document = Document(file, UNCOMPRESSED, AGAIN)
-    render, cameras = read_render(document), _read_cameras(document)
-    voxel = document.float("voxel") if "voxel" in document.root else None
-    if voxel is not None and voxel <= 0:
-        raise document.fault("voxel", f"is {voxel}, but must be a number above 0")
-    return render, cameras, voxel
-
-
-def _read_cameras(doc: Document) -> tuple[NamedCamera, ...]:
-    """Returns the cameras. Earlier folders have one, named "camera". Raises SceneFolderError."""
-    if "camera" in doc.root:
-        return (_read_camera(doc, "camera"),)
-    listed = doc.value("cameras")
-    if not isinstance(listed, list) or len(listed) > CAMERAS_MAX:
-        raise doc.fault("cameras", f"is not a list of at most {CAMERAS_MAX} cameras")
-    found = tuple(_read_camera(doc, f"cameras[{number}]") for number in range(len(listed)))
+    document = Document(file, RenderFile, UNCOMPRESSED, AGAIN)
+    values = document.values
+    listed = [values.camera] if values.camera else values.cameras
+    if listed is None:
+        raise document.fault("cameras", "is missing")
+    found = tuple(NamedCamera(*single(astuple(fields))) for fields in listed)
+    for number, camera in enumerate(found):
+        if fault := camera.fault():
+            raise document.fault("camera" if values.camera else f"cameras[{number}]", f"is not allowed: {fault}")
     if len({camera.name for camera in found}) < len(found):
-        raise doc.fault("cameras", "has two cameras with the same name; names must differ")
-    return found
-
-
-def _read_camera(doc: Document, at: str) -> NamedCamera:
-    """Returns the camera of a field. Raises SceneFolderError."""
-
-    def vector(name: str, count: int) -> Any:
-        return tuple(doc.floats(f"{at}.{name}", count))
-
-    name = doc.value(f"{at}.name")
-    if not isinstance(name, str):
-        raise doc.fault(f"{at}.name", "is not text")
-    camera = NamedCamera(
-        name,
-        doc.integer(f"{at}.width", 1, (1 << 32) - 1),
-        doc.integer(f"{at}.height", 1, (1 << 32) - 1),
-        vector("focal", 2),
-        vector("principal_point", 2),
-        vector("rotation", 4),
-        vector("translation", 3),
-    )
-    fault = camera.fault()
-    if fault:
-        raise doc.fault(at, f"is not allowed: {fault}")
-    return camera
+        raise document.fault("cameras", "has two cameras with the same name; names must differ")
+    return RenderInfo(*single(astuple(values.render))), found, single(values.voxel)
 
 
 def read_uncompressed(path: Path) -> Uncompressed:

@@ -1,8 +1,5 @@
 """Writer of scene folders, for scenes, and for files that are decoded by blocks of chunks."""
 
-# safetensors is imported where it is used, so that a decode that fails does not wait for it.
-# ruff: noqa: PLC0415
-
 from __future__ import annotations
 
 import json
@@ -25,7 +22,7 @@ from ..bitstream.reconstruction import StreamDigest, chunk_digest, reconstruct
 from ..bitstream.scene import Scene, take_anchors
 from ..bitstream.streaming import pieces
 from ..files.stage import new_file
-from .arrays import RowsFile
+from .arrays import RowsFile, write_arrays, write_networks
 from .layout import (
     CODED_FILE,
     FORMAT,
@@ -158,8 +155,6 @@ def _write_files(
         whole: called when all anchors are written; returns the scene, whose anchors are ignored.
         damage, numbers: as for decode_folder. scene.json has them.
     """
-    from safetensors.numpy import save
-
     d, digest = head.dimensions, StreamDigest()
     chunks: list[str] = []
     with new_file(path / PLY_FILE) as ply, new_file(path / CODED_FILE) as arrays:
@@ -173,14 +168,8 @@ def _write_files(
             if numbers is not None:
                 chunks.append(chunk_digest(block, parts))
     scene = whole()
-    networks = {
-        f"{name}.{index}.{part}": np.ascontiguousarray(value)
-        for name, layers in scene.networks.items()
-        for index, layer in enumerate(layers)
-        for part, value in zip(("weight", "bias"), layer, strict=True)
-    }
-    _put(path / NETWORKS_FILE, save(networks))
-    _put(path / PLANES_FILE, save({"planes": np.ascontiguousarray(scene.planes)}))
+    write_networks(path / NETWORKS_FILE, scene.networks)
+    write_arrays(path / PLANES_FILE, {"planes": scene.planes})
     for number, section in enumerate(scene.ancillary):
         _put(path / ancillary_name(number, section.type), section.content)
     document = _scene_document(scene, count, digest.finish_parts(scene))

@@ -129,11 +129,12 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
     def decorate(function: Callable[..., Any]) -> Any:
         # Functions of other packages keep numba's own places.
-        before, numba.config.CACHE_LOCATOR_CLASSES = numba.config.CACHE_LOCATOR_CLASSES, f"{__name__}.{Place.__name__}"
+        config: Any = numba.config
+        before, config.CACHE_LOCATOR_CLASSES = config.CACHE_LOCATOR_CLASSES, f"{__name__}.{Place.__name__}"
         try:
             return njit(error_model="numpy", cache=_folder(function.__module__) is not None, **options)(function)
         finally:
-            numba.config.CACHE_LOCATOR_CLASSES = before
+            config.CACHE_LOCATOR_CLASSES = before
 
     return decorate
 

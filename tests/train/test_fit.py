@@ -543,7 +543,7 @@ def test_what_is_missing_is_said(plain: Path, tmp_path: Path, capsys: pytest.Cap
         (half, "neither scene.json nor render.json"),
         (half / "point_cloud.ply", "neither scene.json nor render.json"),
         (half / "other.ply", "it is not point_cloud.ply"),
-        (wrong, "opacity.1.weight is missing, or not finite float32 numbers"),
+        (wrong, "opacity.1.bias is float32[5], but must be float32[10]"),
         (tmp_path / "none", "expected"),
     ):
         assert main(["fit", str(path), "-o", str(tmp_path / "new"), "--steps", "1"]) == 64
