@@ -14,7 +14,6 @@ from scipy import sparse
 
 from ..rendering.camera import PIXELS_MAX
 from .cameras import SIDE_MAX, U8, PhotographError
-from .png import has_all_rows
 
 # The supported formats. Some of Pillow's other readers start programs (EPS).
 FORMATS = ("JPEG", "PNG", "WEBP", "TIFF", "BMP")
@@ -147,8 +146,6 @@ def read_image(path: Path, background: tuple[int, int, int]) -> U8:
                 "convert it to 8 bits",
             )
         image.load()
-        if not has_all_rows(path):
-            raise PhotographError(path, "some rows of the image are missing", "export or copy the image again")
         if image.has_transparency_data:
             pixels = np.asarray(image.convert("RGBA"), np.float32)
             alpha = pixels[..., 3:] / 255
