@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ..bitstream.cameras import rotation_matrix
 from ..files.present import NotAFileError, is_there
 from ..rendering.camera import Camera
 
@@ -27,6 +28,7 @@ FOCAL_MIN, FOCAL_MAX = 0.01, 1000.0
 SIDE_MAX = 1 << 17
 # Allowed deviation of rotation @ rotation.T from the identity: files have matrices of four digits or more.
 ROTATION_TOLERANCE = 1e-3
+ESTIMATE = "estimate the poses again, or remove this image"
 
 
 class PhotographError(ValueError):
@@ -68,48 +70,39 @@ class Shot:
 
 def check_intrinsics(where: Path | str, camera: Camera, distortion: Distortion) -> None:
     """Raises PhotographError for an impossible size, focal length, principal point or distortion."""
-    if not (1 <= camera.width <= SIDE_MAX and 1 <= camera.height <= SIDE_MAX):
-        raise PhotographError(
-            where,
-            f"the image has {camera.width} x {camera.height} pixels; each side must be 1 to {SIDE_MAX}",
-            "correct the camera's size",
-        )
-    longer = max(camera.width, camera.height)
+    width, height, advice = camera.width, camera.height, "correct the camera's intrinsics"
+    if not (1 <= width <= SIDE_MAX and 1 <= height <= SIDE_MAX):
+        problem = f"the image has {width} x {height} pixels; each side must be 1 to {SIDE_MAX}"
+        raise PhotographError(where, problem, "correct the camera's size")
+    low, high = FOCAL_MIN * max(width, height), FOCAL_MAX * max(width, height)
     for name, focal in (("fx", camera.fx), ("fy", camera.fy)):
         # Written so that NaN fails.
-        if not FOCAL_MIN * longer <= focal <= FOCAL_MAX * longer:
-            raise PhotographError(
-                where,
-                f"the focal length {name} is {focal} pixels; for {camera.width} x {camera.height} it must be "
-                f"{FOCAL_MIN * longer:g} to {FOCAL_MAX * longer:g}",
-                "correct the camera's intrinsics",
-            )
+        if not low <= focal <= high:
+            problem = f"the focal length {name} is {focal} pixels; for {width} x {height} it must be"
+            raise PhotographError(where, f"{problem} {low:g} to {high:g}", advice)
     for name, value in zip(("cx", "cy", "k1", "k2", "p1", "p2"), (camera.cx, camera.cy, *distortion), strict=True):
         if not np.isfinite(value):
-            raise PhotographError(
-                where, f"{name} is {value}, but must be a finite number", "correct the camera's intrinsics"
-            )
-    if not (-camera.width <= camera.cx <= 2 * camera.width and -camera.height <= camera.cy <= 2 * camera.height):
-        raise PhotographError(
-            where,
-            f"the principal point ({camera.cx:g}, {camera.cy:g}) is outside the image of {camera.width} x "
-            f"{camera.height} by more than the size of the image",
-            "correct the camera's intrinsics",
-        )
+            raise PhotographError(where, f"{name} is {value}, but must be a finite number", advice)
+    if not (-width <= camera.cx <= 2 * width and -height <= camera.cy <= 2 * height):
+        problem = f"the principal point ({camera.cx:g}, {camera.cy:g}) is outside the image of {width} x {height}"
+        raise PhotographError(where, f"{problem} by more than the size of the image", advice)
+
+
+def check_pose(where: Path | str, *numbers: F64) -> None:
+    """Raises PhotographError for NaN and infinity."""
+    if not all(np.isfinite(values).all() for values in numbers):
+        raise PhotographError(where, "the pose has a NaN or an infinite number", ESTIMATE)
 
 
 def checked_rotation(where: Path | str, matrix: F64) -> F64:
     """Returns the rotation nearest to a [3, 3] matrix. Raises PhotographError beyond ROTATION_TOLERANCE."""
-    if not np.isfinite(matrix).all():
-        raise PhotographError(
-            where, "the pose has a NaN or an infinite number", "estimate the poses again, or remove this image"
-        )
+    check_pose(where, matrix)
     with np.errstate(over="ignore", invalid="ignore"):
         # Written so that NaN fails: squares of large numbers are infinite.
-        right = np.abs(matrix @ matrix.T - np.eye(3)).max() <= ROTATION_TOLERANCE and np.linalg.det(matrix) > 0
+        right = np.abs(matrix @ matrix.T - np.eye(3)).max() <= ROTATION_TOLERANCE
         lengths = ", ".join(f"{v:.4g}" for v in np.linalg.norm(matrix, axis=1))
         determinant = np.linalg.det(matrix)
-    if not right:
+    if not right or not determinant > 0:
         raise PhotographError(
             where,
             f"the pose's matrix is not a rotation (rows of length {lengths}, determinant {determinant:.4g})",
@@ -119,32 +112,11 @@ def checked_rotation(where: Path | str, matrix: F64) -> F64:
     return np.asarray(u @ v, np.float64)
 
 
-def checked_translation(where: Path | str, translation: F64) -> F64:
-    """Returns the translation, float64 [3]. Raises PhotographError for NaN and infinity."""
-    if not np.isfinite(translation).all():
-        raise PhotographError(
-            where, "the pose has a NaN or an infinite number", "estimate the poses again, or remove this image"
-        )
-    return translation
-
-
 def quaternion_rotation(where: Path | str, quaternion: F64) -> F64:
     """Returns the rotation [3, 3] of a quaternion w, x, y, z of any length. Raises PhotographError for 0, NaN, inf."""
-    if not np.isfinite(quaternion).all():
-        raise PhotographError(
-            where, "the pose has a NaN or an infinite number", "estimate the poses again, or remove this image"
-        )
+    check_pose(where, quaternion)
     # Scaled first, so that neither huge nor tiny components leave float64's range when they are squared.
     largest = np.abs(quaternion).max()
     if largest == 0:
-        raise PhotographError(
-            where, "the pose's quaternion is 0 0 0 0", "estimate the poses again, or remove this image"
-        )
-    w, x, y, z = (quaternion / largest) / np.linalg.norm(quaternion / largest)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+        raise PhotographError(where, "the pose's quaternion is 0 0 0 0", ESTIMATE)
+    return rotation_matrix(quaternion / largest / np.linalg.norm(quaternion / largest))

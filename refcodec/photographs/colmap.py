@@ -26,14 +26,14 @@ from .cameras import (
     PhotographError,
     Shot,
     check_intrinsics,
-    checked_translation,
+    check_pose,
     quaternion_rotation,
     there,
 )
 from .images import Size, image_size
 
 # The supported models, with the mapping of their parameters to fx, fy, cx, cy and k1, k2, p1, p2.
-MODELS: dict[str, tuple[int, Callable[..., tuple[tuple[float, ...], Distortion]]]] = {
+MODELS: dict[str, tuple[int, Callable[..., tuple[tuple[float, float, float, float], Distortion]]]] = {
     "SIMPLE_PINHOLE": (3, lambda f, cx, cy: ((f, f, cx, cy), (0, 0, 0, 0))),
     "PINHOLE": (4, lambda fx, fy, cx, cy: ((fx, fy, cx, cy), (0, 0, 0, 0))),
     "SIMPLE_RADIAL": (4, lambda f, cx, cy, k: ((f, f, cx, cy), (k, 0, 0, 0))),
@@ -42,27 +42,9 @@ MODELS: dict[str, tuple[int, Callable[..., tuple[tuple[float, ...], Distortion]]
 }
 # Binary files number the models. Names of unsupported models are for the message.
 MODEL_IDS = (
-    *(
-        "SIMPLE_PINHOLE",
-        "PINHOLE",
-        "SIMPLE_RADIAL",
-        "RADIAL",
-        "OPENCV",
-        "OPENCV_FISHEYE",
-        "FULL_OPENCV",
-        "FOV",
-        "SIMPLE_RADIAL_FISHEYE",
-    ),
-    *(
-        "RADIAL_FISHEYE",
-        "THIN_PRISM_FISHEYE",
-        "RAD_TAN_THIN_PRISM_FISHEYE",
-        "SIMPLE_DIVISION",
-        "DIVISION",
-        "SIMPLE_FISHEYE",
-        "FISHEYE",
-    ),
-    *("EUCM", "EQUIRECTANGULAR"),
+    *("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE", "FULL_OPENCV", "FOV"),
+    *("SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "THIN_PRISM_FISHEYE", "RAD_TAN_THIN_PRISM_FISHEYE"),
+    *("SIMPLE_DIVISION", "DIVISION", "SIMPLE_FISHEYE", "FISHEYE", "EUCM", "EQUIRECTANGULAR"),
 )
 PARTS = ("cameras", "images", "points3D")
 IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".bmp")
@@ -80,7 +62,7 @@ class _Lens:
 
     width: int
     height: int
-    intrinsics: tuple[float, ...]
+    intrinsics: tuple[float, float, float, float]
     distortion: Distortion
 
 
@@ -170,9 +152,8 @@ def _shot(cameras: Path, pose: _Pose, lenses: dict[int, _Lens]) -> Shot:
             "use names relative to the image folder",
         )
     rotation = quaternion_rotation(pose.where, pose.quaternion)
-    translation = checked_translation(pose.where, pose.translation)
-    fx, fy, cx, cy = lens.intrinsics
-    camera = Camera(pose.name, lens.width, lens.height, fx, fy, cx, cy, rotation, translation)
+    check_pose(pose.where, pose.translation)
+    camera = Camera(pose.name, lens.width, lens.height, *lens.intrinsics, rotation, pose.translation)
     return Shot(Path(pose.name), camera, lens.distortion)
 
 
@@ -202,19 +183,14 @@ def _lens(where: str, model: str, width: int, height: int, parameters: list[floa
     if len(parameters) != count:
         raise PhotographError(where, f"it has {len(parameters)} parameters, but {model} has {count}", RERUN)
     intrinsics, distortion = make(*parameters)
-    lens = _Lens(width, height, intrinsics, distortion)
-    fx, fy, cx, cy = intrinsics
-    check_intrinsics(where, Camera("", width, height, fx, fy, cx, cy, np.eye(3), np.zeros(3)), distortion)
-    return lens
+    check_intrinsics(where, Camera("", width, height, *intrinsics, np.eye(3), np.zeros(3)), distortion)
+    return _Lens(width, height, intrinsics, distortion)
 
 
 def _supported(where: str, model: str) -> None:
     if model not in MODELS:
-        raise PhotographError(
-            where,
-            f"the camera model {model} is not supported; the supported models are {', '.join(MODELS)}",
-            "undistort the images beforehand (colmap image_undistorter)",
-        )
+        problem = f"the camera model {model} is not supported; the supported models are {', '.join(MODELS)}"
+        raise PhotographError(where, problem, "undistort the images beforehand (colmap image_undistorter)")
 
 
 def _cloud(file: Path, rows: list[tuple[float, ...]]) -> tuple[F64, U8]:

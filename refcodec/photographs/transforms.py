@@ -10,20 +10,20 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
+from msgspec import Struct
 
-from ..files.documents import DocumentError, read_json
+from ..files.documents import DocumentError, FieldError, checked, read_json
 from ..files.ply import names_of, read_ply
 from .cameras import (
     F64,
     U8,
-    UNDISTORTED,
     Camera,
     Distortion,
     PhotographError,
     Shot,
     check_intrinsics,
+    check_pose,
     checked_rotation,
-    checked_translation,
     there,
 )
 from .images import image_size
@@ -32,7 +32,6 @@ SINGLE, TRAIN, TEST = "transforms.json", "transforms_train.json", "transforms_te
 # Suffixes tried in turn after a file_path, which has none in Blender's files.
 SUFFIXES = ("", ".png", ".jpg", ".jpeg", ".JPG", ".PNG")
 MODELS = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")
-INTRINSICS = ("w", "h", "fl_x", "fl_y", "camera_angle_x", "camera_angle_y", "cx", "cy", "k1", "k2", "p1", "p2")
 # Coefficients of models that are not supported.
 HIGHER = ("k3", "k4", "k5", "k6")
 POINT_FILES = ("points3d.ply", "points3D.ply")
@@ -43,6 +42,34 @@ RANDOM_POINTS = 100_000
 BOX_SHARE = 1 / 3
 GREY = 128
 REPAIR = "write the file again with the program that made it"
+
+Row = tuple[float, float, float, float]
+
+
+class Frame(Struct):
+    """A frame, with the values of its file where it has none."""
+
+    file_path: str
+    transform_matrix: Any = None
+    mask_path: Any = None
+    camera_model: Any = "OPENCV"
+    is_fisheye: Any = None
+    w: float | None = None
+    h: float | None = None
+    fl_x: float | None = None
+    fl_y: float | None = None
+    camera_angle_x: float | None = None
+    camera_angle_y: float | None = None
+    cx: float | None = None
+    cy: float | None = None
+    k1: float | None = None
+    k2: float | None = None
+    p1: float | None = None
+    p2: float | None = None
+    k3: float | None = None
+    k4: float | None = None
+    k5: float | None = None
+    k6: float | None = None
 
 
 def is_transforms(folder: Path) -> bool:
@@ -101,17 +128,21 @@ def _frames(file: Path, document: dict[str, Any]) -> tuple[list[Shot], int]:
     """Returns the posed images of a file in order of their names, and the number of frames without pose."""
     shots, skipped = [], 0
     names: set[str] = set()
-    for index, frame in enumerate(document["frames"]):
+    shared = {name: value for name, value in document.items() if name != "frames"}
+    for index, stated in enumerate(document["frames"]):
         where = f"{file}, frame {index}"
-        if not isinstance(frame, dict) or not isinstance(frame.get("file_path"), str):
-            raise PhotographError(where, "it has no file_path", REPAIR)
-        if frame.get("transform_matrix") is None:
+        try:
+            # Values of a frame override those of the file.
+            frame = checked({**shared, **checked(stated, dict[str, Any])}, Frame)
+        except FieldError as error:
+            raise PhotographError(where, str(error), REPAIR) from None
+        if frame.transform_matrix is None:
             skipped += 1
             continue
-        if frame.get("mask_path", document.get("mask_path")) is not None:
+        if frame.mask_path is not None:
             advice = "remove mask_path, and cut out what should not be seen as transparency of the images"
             raise PhotographError(where, "it has a mask_path, but masks are not supported", advice)
-        shot = _shot(where, file.parent, document, frame)
+        shot = _shot(where, file.parent, frame)
         if shot.camera.name in names:
             raise PhotographError(where, f"two images are named {shot.camera.name!r}", "give each image its own name")
         names.add(shot.camera.name)
@@ -134,83 +165,50 @@ def _inside(where: str, folder: Path, key: str, stated: object) -> Path:
     return folder / str(stated)
 
 
-def _shot(where: str, folder: Path, document: dict[str, Any], frame: dict[str, Any]) -> Shot:
-    stated = frame["file_path"]
-    stem = _inside(where, folder, "file_path", stated)
+def _shot(where: str, folder: Path, frame: Frame) -> Shot:
+    stem = _inside(where, folder, "file_path", frame.file_path)
     # A dangling link is the file that is meant, and it is missing.
-    places = [folder / f"{stated}{suffix}" for suffix in SUFFIXES]
+    places = [folder / f"{frame.file_path}{suffix}" for suffix in SUFFIXES]
     path = next((p for p in places if p.is_file() or (p.is_symlink() and not p.is_dir())), stem)
     # The name of an image is also that of its output file.
-    name = "/".join(PurePosixPath(stated).parts)
-    # Numbers of a frame override those of the file.
-    keys = {**document, **frame}
-    fields = {key: _number(where, keys, key) for key in (*INTRINSICS, *HIGHER)}
-    size = image_size(path)
-    width, height = (_whole(where, key, fields[key], side) for key, side in zip(("w", "h"), size, strict=True))
-    distortion = _distortion(where, keys, fields)
-    fx, fy = _focal(where, fields, width, height)
-    cx, cy = (
-        middle if value is None else value for value, middle in ((fields["cx"], width / 2), (fields["cy"], height / 2))
-    )
-    rotation, translation = _pose(where, frame["transform_matrix"])
+    name = "/".join(PurePosixPath(frame.file_path).parts)
+    # Some programs write sides as 800.0. Missing ones are those of the image.
+    sides = [own if side is None else side for side, own in zip((frame.w, frame.h), image_size(path), strict=True)]
+    for key, side in zip("wh", sides, strict=True):
+        if side != int(side):
+            raise PhotographError(where, f"{key} is {side}, but must be a whole number of pixels", REPAIR)
+    width, height = map(int, sides)
+    distortion = _distortion(where, frame)
+    fx, fy = _focal(where, frame, width, height)
+    cx, cy = width / 2 if frame.cx is None else frame.cx, height / 2 if frame.cy is None else frame.cy
+    rotation, translation = _pose(where, frame.transform_matrix)
     camera = Camera(name, width, height, fx, fy, cx, cy, rotation, translation)
     check_intrinsics(where, camera, distortion)
     return Shot(path, camera, distortion)
 
 
-def _number(where: str, keys: dict[str, Any], key: str) -> float | None:
-    value = keys.get(key)
-    if value is None:
-        return None
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise PhotographError(where, f"{key} is {value!r:.60}, but must be a number", REPAIR)
-    try:
-        return float(value)
-    except OverflowError:
-        return float("inf")
-
-
-def _whole(where: str, key: str, value: float | None, default: int) -> int:
-    """Returns a side in pixels, which some programs write as 800.0; if missing, that of the image."""
-    if value is None:
-        return default
-    if not (np.isfinite(value) and value == int(value)):
-        raise PhotographError(where, f"{key} is {value}, but must be a whole number of pixels", REPAIR)
-    return int(value)
-
-
-def _distortion(where: str, keys: dict[str, Any], fields: dict[str, float | None]) -> Distortion:
-    model = keys.get("camera_model", "OPENCV")
+def _distortion(where: str, frame: Frame) -> Distortion:
+    model, supported = frame.camera_model, f"is not supported; the supported models are {', '.join(MODELS)}"
     # nerfstudio calls a pinhole camera PERSPECTIVE, too.
-    if model not in (*MODELS, "PERSPECTIVE") or keys.get("is_fisheye"):
+    if model not in (*MODELS, "PERSPECTIVE") or frame.is_fisheye:
         model = "fisheye" if model in MODELS else f"{model!s:.60}"
-        raise PhotographError(
-            where,
-            f"the camera model {model} is not supported; the supported models are {', '.join(MODELS)}",
-            "undistort the images beforehand",
-        )
-    higher = [key for key in HIGHER if fields[key]]
-    if higher:
-        raise PhotographError(
-            where,
-            f"{higher[0]} is {fields[higher[0]]}: the camera model FULL_OPENCV is not supported; "
-            f"the supported models are {', '.join(MODELS)}",
-            "undistort the images beforehand",
-        )
-    k1, k2, p1, p2 = (fields[key] or 0.0 for key in ("k1", "k2", "p1", "p2"))
-    return (k1, k2, p1, p2) if any((k1, k2, p1, p2)) else UNDISTORTED
+        raise PhotographError(where, f"the camera model {model} {supported}", "undistort the images beforehand")
+    for key in HIGHER:
+        if value := getattr(frame, key):
+            problem = f"{key} is {value}: the camera model FULL_OPENCV {supported}"
+            raise PhotographError(where, problem, "undistort the images beforehand")
+    return (frame.k1 or 0.0, frame.k2 or 0.0, frame.p1 or 0.0, frame.p2 or 0.0)
 
 
-def _focal(where: str, fields: dict[str, float | None], width: int, height: int) -> tuple[float, float]:
+def _focal(where: str, frame: Frame, width: int, height: int) -> tuple[float, float]:
     """Returns the focal lengths of fl_x and fl_y, or of the angles of view. A single one is used for both."""
     out: list[float | None] = []
     for axis, side in (("x", width), ("y", height)):
-        focal, angle = fields[f"fl_{axis}"], fields[f"camera_angle_{axis}"]
+        focal, angle = getattr(frame, f"fl_{axis}"), getattr(frame, f"camera_angle_{axis}")
         if focal is None and angle is not None:
             if not 0 < angle < np.pi:
-                raise PhotographError(
-                    where, f"camera_angle_{axis} is {angle}, but must be in radians, between 0 and pi", REPAIR
-                )
+                problem = f"camera_angle_{axis} is {angle}, but must be in radians, between 0 and pi"
+                raise PhotographError(where, problem, REPAIR)
             focal = side / 2 / float(np.tan(angle / 2))
         out.append(focal)
     fx, fy = (a if a is not None else b for a, b in (out, out[::-1]))
@@ -224,15 +222,16 @@ def _focal(where: str, fields: dict[str, float | None], width: int, height: int)
 def _pose(where: str, rows: Any) -> tuple[F64, F64]:
     """Returns rotation and translation, world to camera as in COLMAP, of a camera-to-world matrix of 3 or 4 rows."""
     try:
-        matrix = np.array(rows, np.float64)
-    except (ValueError, TypeError, OverflowError):
+        matrix = np.array(checked(rows, list[Row]))
+    except FieldError:
         matrix = np.empty(0)
-    if matrix.shape not in ((3, 4), (4, 4)):
+    if len(matrix) not in (3, 4):
         raise PhotographError(where, "its transform_matrix is not 4 rows of 4 numbers", REPAIR)
     if len(matrix) == 4 and not np.allclose(matrix[3], (0, 0, 0, 1), atol=1e-6):
         raise PhotographError(where, "the last row of its transform_matrix is not 0 0 0 1", REPAIR)
-    rotation = checked_rotation(where, (matrix[:3, :3] * (1, -1, -1)).T)
-    return rotation, -rotation @ checked_translation(where, matrix[:3, 3])
+    rotation, translation = checked_rotation(where, (matrix[:3, :3] * (1, -1, -1)).T), matrix[:3, 3]
+    check_pose(where, translation)
+    return rotation, -rotation @ translation
 
 
 def read_points(file: Path) -> tuple[F64, U8]:

@@ -928,7 +928,7 @@ def _set(key, value, frame=None):
         (_set("camera_model", ["OPENCV"]), ("is not supported",)),
         (_set("is_fisheye", True), ("fisheye is not supported",)),
         (_set("file_path", "images/none", 3), ("images/none", "missing")),
-        (_set("file_path", 3, 3), ("frame 3", "no file_path")),
+        (_set("file_path", 3, 3), ("frame 3", "file_path is 3: a text is required")),
         (_set("file_path", "images/r_0", 3), ("frame 3", "two images are named 'images/r_0'")),
         (_set("transform_matrix", "here", 3), ("frame 3", "not 4 rows of 4 numbers")),
         (_set("transform_matrix", [[1, 0], [0, 1]], 3), ("frame 3", "not 4 rows of 4 numbers")),
@@ -973,8 +973,7 @@ KEYS = [
     "file_path",
     "transform_matrix",
     "ply_file_path",
-    *transforms.INTRINSICS,
-    *transforms.HIGHER,
+    *transforms.Frame.__struct_fields__,
     "camera_model",
     "is_fisheye",
 ]
