@@ -9,7 +9,7 @@ import tomllib
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import msgspec
 
@@ -22,8 +22,6 @@ TOML_MAX = 1 << 20
 DEPTH_MAX = 64
 # The maximum digits of an integer: more than any 64-bit number has, so that range checks report their own error.
 DIGITS_MAX = 40
-
-T = TypeVar("T")
 
 # What msgspec calls the types of values, and the most characters that an error repeats of a value.
 _WORDS = {
@@ -74,7 +72,7 @@ def read_json(path: Path, most: int = SIZE_MAX) -> Any:
         return parse_json(file.read(most + 1), most)
 
 
-def checked(value: Any, kind: type[T]) -> T:
+def checked(value: Any, kind: Any) -> Any:
     """Returns a value of a document as a type of msgspec: a Struct, a dataclass, or one with the bounds of a Meta.
 
     Raises FieldError, whose problem states the value and what is required.

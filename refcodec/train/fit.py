@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from msgspec import Struct
 from numpy.typing import NDArray
 from torch import Tensor
 
@@ -209,6 +210,14 @@ def _statistics(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.float64]]
 # --- training ---------------------------------------------------------------------------------------------------------
 
 
+class _Note(Struct, forbid_unknown_fields=True):
+    """An entry of the history in a saved state."""
+
+    step: int
+    bits: float
+    planes: float
+
+
 class _Fitting:
     """A fit in progress (state.Savable).
 
@@ -320,11 +329,10 @@ class _Fitting:
     def restore(self, state: Saved) -> None:
         """As state.Savable."""
         state.module("model.", self.model)
-        self.model.set_integers(state.flag("integers"))
+        self.model.set_integers(state.value("integers", bool))
         restore_moments(self.optimiser, state)
         state.generator("draw", self.draw)
-        notes = state.records("history", ("step", "bits", "planes"))
-        self.history = [(int(n["step"]), float(n["bits"]), float(n["planes"])) for n in notes]
+        self.history = [(note.step, note.bits, note.planes) for note in state.value("history", list[_Note])]
         self.done = state.integer("done", 0, self.settings.steps)
         if self.done:
             # The learning rates follow only from the number of steps: this is their state after `done` of them.

@@ -7,12 +7,14 @@ import time
 from typing import Any
 
 import numpy as np
+from msgspec import defstruct
+from msgspec.structs import asdict
 from torch import Tensor
 
 from .estimate import estimate
 from .pace import Pace
 from .stage import Run, Stage
-from .state import Saved
+from .state import Positive, Saved
 
 # About the number of photographs of an evaluation: enough for a curve, in a small share of the training time.
 IMAGES = 5
@@ -21,6 +23,9 @@ LATELY = 50
 # The recorded parts of the file, in bytes, and the recorded numbers of an evaluation, beside the name of the phase.
 PARTS = ("positions", "attributes", "masks", "planes", "weights")
 COLUMNS, PHASE = ("step", "seconds", "psnr", "anchors", "bytes", *PARTS), "phase"
+# An integer stays one, so that a training that was interrupted writes the bytes of one that was not.
+_FIELDS = [*((name, int | float) for name in COLUMNS), (PHASE, str)]
+Look: Any = defstruct("Look", _FIELDS, forbid_unknown_fields=True)
 
 
 def psnr(error: float) -> float:
@@ -84,6 +89,6 @@ class Looks(Stage):
 
     def restore(self, state: Saved) -> None:
         """As Stage."""
-        self.history = state.records("history", COLUMNS, (PHASE,))
+        self.history = [asdict(look) for look in state.value("history", list[Look])]
         self.pace.restore(state.within("pace"))
-        self.recent, self.seconds = state.numbers("recent"), state.real("seconds", 0)
+        self.recent, self.seconds = state.value("recent", list[float]), state.value("seconds", Positive)

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from itertools import pairwise
 from typing import Any
 
 from .schedule import Clock
-from .state import Saved
+from .state import Positive, Saved
 
 # The number of steps in the mean time of a step, and the least number for a reliable mean.
 LATELY, ENOUGH = 50, 10
@@ -78,8 +77,4 @@ class Pace:
 
     def restore(self, state: Saved) -> None:
         """Restores the values of `state`. Raises ValueError."""
-        for name in ("counts", "means"):
-            numbers = state.numbers(name)
-            if len(numbers) != len(self.counts) or not all(0 <= value < math.inf for value in numbers):
-                raise state.fault(name, "is not two numbers of at least 0")
-        self.counts, self.means = state.numbers("counts"), state.numbers("means")
+        self.counts, self.means = (list(state.value(name, tuple[Positive, Positive])) for name in ("counts", "means"))

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from .settings import MODES, Phase
-from .state import Saved
+from .state import Saved, Share
 
 
 class Clock:
@@ -80,9 +80,7 @@ class Clock:
         if steps > self.steps:
             raise state.fault("steps", f"is {steps}: a training can be extended, but not cut to {self.steps} steps")
         before = Clock(self.phases, steps)
-        before.first, before.base = state.integer("first", 0, steps - 1), state.real("base", 0)
-        if before.base > 1:
-            raise state.fault("base", f"is {before.base}, but must be a share of at most 1")
+        before.first, before.base = state.integer("first", 0, steps - 1), state.value("base", Share)
         self.done = before.done = state.integer("done", before.first, steps)
         extended = steps < self.steps
         self.first, self.base = (before.done, before.share) if extended else (before.first, before.base)

@@ -16,19 +16,24 @@ import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Annotated, Any, Protocol
 
 import torch
+from msgspec import Meta
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor, nn
 
-from ..files.documents import parse_json
+from ..files.documents import FieldError, checked, parse_json
 from ..files.interrupts import on_interrupt
 from ..files.present import NotAFileError, is_there
 from ..files.terminal import note
 from ..files.text import printable
 from .settings_file import differences
+
+# Types of values.
+Positive = Annotated[float, Meta(ge=0)]
+Share = Annotated[float, Meta(ge=0, le=1)]
 
 FORMAT, VERSION = "C3GS training state", "4"
 # The most characters that a message repeats of a value.
@@ -74,13 +79,25 @@ class Saved:
         """Returns the error about a value. problem: its predicate."""
         return ValueError(f"{printable(self._prefix + name, _SHOWN)} {problem}")
 
-    def value(self, name: str) -> Any:
-        """Returns an unchecked value: a tensor, or a JSON value."""
+    def _take(self, name: str) -> Any:
+        """Returns a value, and notes that it was read."""
         whole = self._prefix + name
         if whole not in self._values:
             raise self.fault(name, "is missing")
         self._read.add(whole)
         return self._values[whole]
+
+    def value(self, name: str, kind: Any) -> Any:
+        """Returns a JSON value of a type (files.documents.checked)."""
+        try:
+            return checked(self._take(name), kind)
+        except FieldError as error:
+            raise self.fault(name, " ".join(filter(None, [error.name, error.problem]))) from None
+
+    def integer(self, name: str, low: int, high: int | None = None) -> int:
+        """Returns an integer from low to high."""
+        value: int = self.value(name, Annotated[int, Meta(ge=low, le=high)])
+        return value
 
     def tensor(
         self,
@@ -91,7 +108,7 @@ class Saved:
         high: float = math.inf,
     ) -> Tensor:
         """Returns a tensor of finite numbers from low to high. shape: None stands for any length."""
-        tensor = self.value(name)
+        tensor = self._take(name)
         if not isinstance(tensor, Tensor):
             raise self.fault(name, "is not a tensor")
         right = tensor.dim() == len(shape) and all(n in (None, m) for n, m in zip(shape, tensor.shape, strict=True))
@@ -101,49 +118,6 @@ class Saved:
         if tensor.numel() and not (bool(tensor.isfinite().all()) and low <= tensor.min() and tensor.max() <= high):
             raise self.fault(name, f"has a number that is not finite, or not from {low:g} to {high:g}")
         return tensor
-
-    def integer(self, name: str, low: int, high: float = math.inf) -> int:
-        """Returns an integer from low to high."""
-        value = self.value(name)
-        if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
-            raise self.fault(name, f"is {_shown(value)}, but must be an integer from {low} to {high}")
-        return value
-
-    def real(self, name: str, low: float = -math.inf) -> float:
-        """Returns a finite number of at least low."""
-        value = self.value(name)
-        if not _is_number(value) or value < low:
-            bound = "" if low == -math.inf else f" of at least {low:g}"
-            raise self.fault(name, f"is {_shown(value)}, but must be a finite number{bound}")
-        return float(value)
-
-    def flag(self, name: str) -> bool:
-        """Returns true or false."""
-        value = self.value(name)
-        if not isinstance(value, bool):
-            raise self.fault(name, f"is {_shown(value)}, but must be true or false")
-        return value
-
-    def numbers(self, name: str) -> list[float]:
-        """Returns a list of finite numbers."""
-        value = self.value(name)
-        if not isinstance(value, list) or not all(map(_is_number, value)):
-            raise self.fault(name, "is not a list of finite numbers")
-        return value
-
-    def records(self, name: str, keys: Sequence[str], texts: Sequence[str] = ()) -> list[dict[str, Any]]:
-        """Returns a list of objects that have these keys, each with a finite number or, for `texts`, a text."""
-        value = self.value(name)
-        right = isinstance(value, list) and all(
-            isinstance(entry, dict)
-            and entry.keys() == {*keys, *texts}
-            and all(_is_number(entry[key]) for key in keys)
-            and all(isinstance(entry[key], str) for key in texts)
-            for entry in value
-        )
-        if not right:
-            raise self.fault(name, f"is not a list of objects with the numbers {', '.join(keys)}")
-        return list(value)
 
     def module(self, prefix: str, module: nn.Module) -> None:
         """Sets the parameters and buffers of a module, whose names follow the prefix.
@@ -170,14 +144,6 @@ class Saved:
         """Raises ValueError if there is a value that was not read."""
         for name in sorted(self._values.keys() - self._read):
             raise self.fault(name, "is not known")
-
-
-def _shown(value: Any) -> str:
-    return printable("a tensor" if isinstance(value, Tensor) else json.dumps(value), _SHOWN)
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= 1e300
 
 
 def _checksum(notes: Mapping[str, str], tensors: Mapping[str, Tensor]) -> str:

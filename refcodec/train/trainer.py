@@ -198,9 +198,8 @@ class Trainer(Run):
     def restore(self, state: Saved) -> None:
         """Sets a new training to a saved state. Raises ValueError for values that cannot be its state."""
         self.clock.restore(state.within("clock"))
-        order, views = state.value("order"), len(self.cameras)
-        right = isinstance(order, list) and all(type(n) is int and 0 <= n < views for n in order)
-        if not right or len(set(order)) != len(order):
+        order, views = state.value("order", list[int]), len(self.cameras)
+        if len(set(order) & set(range(views))) != len(order):
             raise state.fault("order", f"is not a list of different numbers of the {views} photographs")
         self.order = order
         self.scaffold.restore(state.within("scaffold"))

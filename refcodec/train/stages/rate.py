@@ -266,7 +266,7 @@ class Rate(Stage):
                 raise state.fault(name, f"must have a size of {choose(0)} to {choose(ANCHORS_MAX)}, but has {size}")
         model = self._make(frame, base_step, plane_size if self._has_planes else 0, width)
         state.module("model.", model)
-        model.set_integers(state.flag("integers"))
+        model.set_integers(state.value("integers", bool))
         restore_moments(self.optimiser, state)
 
     @staticmethod

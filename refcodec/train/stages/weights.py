@@ -92,7 +92,7 @@ class Weights(Stage):
 
     def restore(self, state: Saved) -> None:
         """As Stage. The rate is restored before."""
-        gridded = state.flag("gridded")
+        gridded = state.value("gridded", bool)
         if gridded and self.rate.model is None:
             raise state.fault("gridded", "is true before there is an entropy model")
         networks = self.run.scaffold.networks
