@@ -120,7 +120,7 @@ def fitted(arguments: argparse.Namespace) -> tuple[Scene, int]:
         from ..train.fit_input import read_given
         from ..train.settings import FitSettings
     except ModuleNotFoundError as error:
-        raise needs("encode of an uncompressed scene", "fit", error, ("torch", "scipy")) from None
+        raise needs("encode of an uncompressed scene", "fit", error, ("torch", "numba", "scipy")) from None
     plain = FitSettings()
     settings = FitSettings(steps=arguments.steps or plain.steps, lambda_r=arguments.lambda_r or plain.lambda_r)
     try:

@@ -225,7 +225,7 @@ def _fit(arguments: argparse.Namespace) -> int:
         from ..train.fit_input import read_given
         from ..train.state import StateError, write_somewhere
     except ModuleNotFoundError as error:
-        raise needs("fit", "fit", error, ("torch", "scipy")) from None
+        raise needs("fit", "fit", error, ("torch", "numba", "scipy")) from None
     output, points = _folder(arguments.output), Path(arguments.points)
     _check_writable(output)
     # Beside the folder, not in it: a scene folder is complete or absent.

@@ -6,14 +6,15 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from numbers import Integral, Real
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from msgspec import Meta, Struct
 from numpy.typing import ArrayLike, NDArray
 
 from ..bitstream.cameras import NamedCamera
 from ..bitstream.header import RenderInfo
-from ..files.documents import parse_json
+from ..files.documents import checked, parse_json
 
 F64 = NDArray[np.float64]
 # The name of the camera that a file states.
@@ -302,6 +303,20 @@ def up_axis(cameras: Sequence[Camera], points: F64) -> int:
     return nearest_axis(up_direction(cameras, points))
 
 
+_Side = Annotated[int, Meta(ge=1, le=SIDE_MAX)]
+_Focal = Annotated[float, Meta(gt=0)]
+_Vector = tuple[float, float, float]
+
+
+class _Fields(Struct):
+    width: _Side
+    height: _Side
+    focal: tuple[_Focal, _Focal]
+    principal_point: tuple[float, float]
+    rotation: tuple[_Vector, _Vector, _Vector]
+    translation: _Vector
+
+
 def read_camera(data: bytes | str) -> Camera:
     """Returns the camera that a JSON object states (vectors/README.md).
 
@@ -309,44 +324,11 @@ def read_camera(data: bytes | str) -> Camera:
     field that is missing or has another type, a side of more than 65535 pixels, a focal length of 0 or less, and a
     rotation that is not a rotation matrix within ROTATION_TOLERANCE.
     """
-    fields = parse_json(data, CAMERA_MAX)
-    if not isinstance(fields, dict):
-        raise ValueError("it is not a JSON object")
-    width, height = (_side(fields, name) for name in ("width", "height"))
-    focal, principal = _floats(fields, "focal", (2,)), _floats(fields, "principal_point", (2,))
-    rotation, translation = _floats(fields, "rotation", (3, 3)), _floats(fields, "translation", (3,))
-    if focal.min() <= 0:
-        raise ValueError(f"focal is {focal.tolist()}, but must be numbers above 0")
+    fields: _Fields = checked(parse_json(data, CAMERA_MAX), _Fields)
+    rotation = np.array(fields.rotation)
     # Rows that are far too long would overflow when they are multiplied.
     right = np.abs(rotation).max() < 2 and np.abs(rotation @ rotation.T - np.eye(3)).max() <= ROTATION_TOLERANCE
     if not right or np.linalg.det(rotation) < 0:
         raise ValueError(f"rotation is not a rotation matrix within {ROTATION_TOLERANCE}")
-    (fx, fy), (cx, cy) = focal.tolist(), principal.tolist()
-    return Camera("stated", width, height, fx, fy, cx, cy, rotation, translation)
-
-
-def _field(fields: dict[str, Any], name: str) -> Any:
-    if name not in fields:
-        raise ValueError(f"{name} is missing")
-    return fields[name]
-
-
-def _side(fields: dict[str, Any], name: str) -> int:
-    value = _field(fields, name)
-    if type(value) is not int or not 1 <= value <= SIDE_MAX:
-        raise ValueError(f"{name} is not an integer from 1 to {SIDE_MAX}")
-    return value
-
-
-def _floats(fields: dict[str, Any], name: str, shape: tuple[int, ...]) -> F64:
-    """Returns an array of finite numbers."""
-
-    def right(value: Any, sides: tuple[int, ...]) -> bool:
-        if not sides:
-            return isinstance(value, int | float) and not isinstance(value, bool)
-        return isinstance(value, list) and len(value) == sides[0] and all(right(v, sides[1:]) for v in value)
-
-    value = _field(fields, name)
-    if not right(value, shape):
-        raise ValueError(f"{name} is not {' x '.join(map(str, shape))} numbers")
-    return np.array(value, np.float64)
+    lens = *fields.focal, *fields.principal_point
+    return Camera("stated", fields.width, fields.height, *lens, rotation, np.array(fields.translation))

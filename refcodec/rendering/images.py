@@ -7,7 +7,6 @@ import unicodedata
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import count
 from pathlib import Path, PurePosixPath
-from types import TracebackType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,7 +57,7 @@ def _forms(camera: str) -> Iterator[str]:
         yield f"{'_'.join(path.parts)}-{number}.png"
 
 
-class ImageFolder:
+class ImageFolder(Stage):
     """Images that get into a folder together at the end of a `with` block, or never if it fails.
 
     The folder is made if it is not there. Other files in it stay.
@@ -79,30 +78,19 @@ class ImageFolder:
             UsageError: an image is an input, or is in an input folder, or would replace a file that refcodec did not
                 write.
         """
-        self.folder = folder
-        self._paths = [folder / name for name in image_names(cameras)]
         # The images of two runs do not get mixed.
-        self._stage = Stage(turns=folder)
-        self._number = 0
-        outputs = [(path, PNG) for path in self._paths] + ([(folder / ORBIT, GIF)] if animated else [])
+        super().__init__(turns=folder)
+        paths = [folder / name for name in image_names(cameras)]
+        self._next, self._animation = iter(paths), folder / ORBIT
+        outputs = [(path, PNG) for path in paths] + ([(self._animation, GIF)] if animated else [])
         check_apart([path for path, _ in outputs], inputs)
         for path, kind in outputs:
             check_file(path, kind, made=True)
 
-    def __enter__(self) -> ImageFolder:
-        self._stage.__enter__()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._stage.__exit__(kind, error, trace)
-
     def add(self, image: NDArray[np.float32]) -> None:
         """Writes the image of the next camera, float32 [height, width, 3]. Raises OSError."""
-        self._stage.write(self._paths[self._number], png(eight_bits(image)))
-        self._number += 1
+        self.write(next(self._next), png(eight_bits(image)))
 
     def animate(self, frames: Iterable[NDArray[np.uint8]]) -> None:
         """Writes the animation, of images uint8 [height, width, 3]. Raises OSError."""
-        self._stage.write(self.folder / ORBIT, gif(frames))
+        self.write(self._animation, gif(frames))

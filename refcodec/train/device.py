@@ -6,8 +6,6 @@ numbers come from one generator. On a GPU the definitions run, gsplat draws, and
 
 from __future__ import annotations
 
-from functools import cache
-from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
 import torch
@@ -34,18 +32,12 @@ def noise_generator(device: torch.device, random: torch.Generator, seed: int) ->
     return random if device.type == "cpu" else torch.Generator(device).manual_seed(seed)
 
 
-@cache
-def _has_numba() -> bool:
-    return find_spec("numba") is not None
-
-
 def has_kernel(tensor: Tensor) -> bool:
-    """Whether kernels of refcodec.train.cpu compute with a tensor: float32 on the CPU, if numba is installed.
+    """Whether kernels of refcodec.train.cpu compute with a tensor: float32 on the CPU.
 
-    A fit needs only torch, and then runs the definitions. Float64 tensors have no kernels, which lets tests compare
-    both.
+    Float64 tensors have no kernels, which lets tests compare both.
     """
-    return tensor.device.type == "cpu" and tensor.element_size() == 4 and _has_numba()
+    return tensor.device.type == "cpu" and tensor.element_size() == 4
 
 
 def check_one_device(*tensors: Tensor) -> str:

@@ -54,19 +54,9 @@ def spawn_torch(
     return mean, shape[:, 3:], torch.exp(scalings[anchor, 3:] + shape[:, :3]), rgb
 
 
-def spawn(
-    chosen: Tensor,
-    k: int,
-    position: Tensor,
-    offsets: Tensor,
-    scalings: Tensor,
-    covariance: Tensor,
-    colour: Tensor,
-    centre: Tensor | None,
-) -> Gaussians:
+def spawn(chosen: Tensor, k: int, position: Tensor, *arrays: Tensor | None) -> Gaussians:
     """spawn_torch, in a kernel on CPUs. Positions have no gradient."""
-    arrays = chosen, k, position, offsets, scalings, covariance, colour, centre
     if has_kernel(position):
-        gaussians: Gaussians = Spawn.apply(*arrays)
+        gaussians: Gaussians = Spawn.apply(chosen, k, position, *arrays)
         return gaussians
-    return spawn_torch(*arrays)
+    return spawn_torch(chosen, k, position, *arrays)  # type: ignore[arg-type]

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from refcodec.bitstream.tables import SCALE_MIN
 from refcodec.train.cpu.residues import Shown, Symbols
-from refcodec.train.rate_model.bits import bits_torch, gauss_bits, laplace_bits
+from refcodec.train.rate_model.bits import TorchBits, gauss_bits, laplace_bits
 from refcodec.train.rate_model.folded import FoldedMlp
 from refcodec.train.rate_model.hyperprior import PlaneSamples, VectorMatrix, plane_neighbours
 from refcodec.train.rate_model.model import OFFSETS, PAPER, RateModel
@@ -116,7 +116,7 @@ def test_bits(gauss: bool, count: int) -> None:
     inputs = distributions(count, draw)
     ours = (gauss_bits if gauss else laplace_bits)(*inputs)
     exact = [v.detach().double().requires_grad_() for v in inputs]
-    wanted = bits_torch(*exact, gauss, 2.0**-20)
+    wanted = TorchBits.apply(*exact, gauss, 2.0**-20)
     weights = torch.rand(count, generator=draw) - 0.2
     agree([ours], [wanted])
     agree(gradients(ours, weights, inputs), gradients(wanted, weights, exact), 1e-4)

@@ -1,4 +1,4 @@
-"""Bits of symbols and their gradients in one pass, eight symbols at a time: the kernel of bits.bits_torch."""
+"""Bits of symbols and their gradients in one pass, eight symbols at a time: the kernel of bits.TorchBits."""
 
 from __future__ import annotations
 

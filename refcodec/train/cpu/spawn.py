@@ -111,16 +111,7 @@ def _backward(
 
 
 class Spawn(torch.autograd.Function):
-    """Spawn.apply(chosen, k, position, offsets, scalings, covariance, colour, centre).
-
-    Returns mean, quaternion, lengths, rgb.
-
-    These are n Gaussians, whose quaternions are as long as the network makes them. Positions have no gradient.
-
-    chosen: int64 [n], ascending, anchor * k + offset. The rest is float32. position [N, 3]. offsets [N, 3 k], in units
-    of exp(scalings[:3]). scalings [N, 6], natural logarithms. covariance [N, 7 k] and colour [N, colour_outputs k], of
-    the networks. centre [3]: of the camera of a static scene; None for a view-dependent scene.
-    """
+    """Spawn.apply(chosen, k, position, offsets, scalings, covariance, colour, centre), as spawn.spawn_torch."""
 
     @staticmethod
     def forward(

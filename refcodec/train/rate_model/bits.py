@@ -9,13 +9,17 @@ import torch
 from torch import Tensor
 
 from ...bitstream.tables import SCALE_MIN
+from ..cpu.likelihood import Bits
 from ..device import has_kernel
 from ..settings import EntropySettings
 from .units import MEAN_UNIT, SCALE_MOST, SCALE_UNIT
 
 
-class _Bits(torch.autograd.Function):
-    """-log2 of a symbol's probability, to which `floor` is added."""
+class TorchBits(torch.autograd.Function):
+    """TorchBits.apply(mean, scale, symbol, gauss, floor): gauss_bits or laplace_bits on the device of the tensors.
+
+    They are -log2 of a symbol's probability, to which `floor` is added.
+    """
 
     @staticmethod
     def forward(ctx: Any, mean: Tensor, scale: Tensor, symbol: Tensor, gauss: bool, floor: float) -> Tensor:
@@ -71,16 +75,6 @@ def laplace_bits(mean: Tensor, scale: Tensor, symbol: Tensor, floor: float = Ent
     return _bits(mean, scale, symbol, False, floor)
 
 
-def _bits(mean: Tensor, scale: Tensor, symbol: Tensor, gauss: bool, floor: float) -> Tensor:
-    if not has_kernel(mean):
-        return bits_torch(mean, scale, symbol, gauss, floor)
-    from ..cpu.likelihood import Bits  # noqa: PLC0415 (needs numba)
-
-    bits: Tensor = Bits.apply(mean, scale, symbol, gauss, floor)
-    return bits
-
-
-def bits_torch(mean: Tensor, scale: Tensor, symbol: Tensor, gauss: bool, floor: float) -> Tensor:
-    """gauss_bits or laplace_bits, with torch on the device of the tensors."""
-    bits: Tensor = _Bits.apply(mean, scale, symbol, gauss, floor)
+def _bits(mean: Tensor, *rest: Any) -> Tensor:
+    bits: Tensor = (Bits if has_kernel(mean) else TorchBits).apply(mean, *rest)
     return bits

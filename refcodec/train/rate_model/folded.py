@@ -9,19 +9,16 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
 from ...bitstream.networks import ACCUMULATOR_BOUND, ACTIVATION_MAX, WEIGHT_MAX, Layer, derive_layer
+from ..cpu.layers import FoldedLayer, Plan
 from ..device import has_kernel
 from ..settings import EntropySettings
 from .units import grid_through, round_through
-
-if TYPE_CHECKING:
-    from ..cpu.layers import Plan
 
 
 class FoldedMlp(nn.Module):
@@ -86,8 +83,6 @@ class FoldedMlp(nn.Module):
         """The outputs of some rows of a layer."""
         if not has_kernel(x):
             return self.run_torch(layer, x, rows)
-        from ..cpu.layers import FoldedLayer  # noqa: PLC0415 (needs numba)
-
         values = self.weights[layer], self.biases[layer]
         weight, bias = values if rows == slice(None) else (v[rows] for v in values)
         outputs: Tensor = FoldedLayer.apply(self.plan(layer, rows), x, weight, bias)
@@ -99,8 +94,6 @@ class FoldedMlp(nn.Module):
 
     def plan(self, layer: int, rows: slice = slice(None)) -> Plan:
         """The properties of some rows of a layer besides their weights, for passes on CPUs."""
-        from ..cpu.layers import Plan  # noqa: PLC0415 (needs numba)
-
         before, after = self._ends(layer)
         step = self.get_buffer(f"step_{layer}")
         arrays = before.numpy(), after[rows].numpy(), step[rows].numpy()

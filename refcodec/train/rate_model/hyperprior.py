@@ -23,6 +23,7 @@ from ...bitstream.frame import Frame
 from ...bitstream.networks import ACTIVATION_MAX
 from ...bitstream.planes import PLANES
 from ...bitstream.positions import position_integers
+from ..cpu.query import Query
 from ..device import has_kernel
 from ..settings import EntropySettings
 from .units import GAMMA_UNIT, LATENT_UNIT, PLANE_SHIFT, round_through
@@ -59,8 +60,6 @@ class PlaneSamples:
         more: float32 [n, G], of which the anchors' rows follow: the result is [b, 2 ch + G].
         """
         if has_kernel(symbols):
-            from ..cpu.query import Query  # noqa: PLC0415 (needs numba)
-
             inputs: Tensor = Query.apply(symbols, rows, self.corners, self.shares, more, rounding)
             return inputs
         return torch.cat([self.query_torch(symbols, rows, rounding), more[rows]], dim=1)

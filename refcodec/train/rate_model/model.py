@@ -16,9 +16,11 @@ from ...bitstream.attributes import KINDS, SCALINGS
 from ...bitstream.networks import ACTIVATION_MAX, Layer
 from ...bitstream.tables import STEP_LENGTH
 from ...encoder.sizes import SLICES
+from ..cpu.attributes import AttributeBits, Counting
+from ..cpu.plane_bits import PlaneBits
 from ..device import has_kernel
 from ..settings import EntropySettings
-from .bits import bits_torch, laplace_bits
+from .bits import TorchBits, laplace_bits
 from .columns import Columns
 from .folded import FoldedMlp
 from .hyperprior import VectorMatrix, plane_neighbours
@@ -36,7 +38,7 @@ def count_torch(out: Tensor, change: Tensor, symbols: Tensor, kept: Tensor, floo
     by_mean, by_scale = (change[:, columns[changed].to(change.device)] for columns in of.changes())
     rest = (of.slices[0], of.width - of.features)
     mean, scale = mean + functional.pad(by_mean, rest), scale + functional.pad(by_scale, rest)
-    bits = bits_torch(mean, scale, symbols, True, floor)
+    bits: Tensor = TorchBits.apply(mean, scale, symbols, True, floor)
     some = 1 - torch.prod(1 - kept, dim=1)
     place = slice(of.features, of.features + SCALINGS)
     offsets = (bits[:, place.stop :].reshape(len(bits), of.offsets, 3).sum(dim=2) * kept).sum(dim=1)
@@ -135,8 +137,6 @@ class RateModel(nn.Module):
         if self.sarm is None:
             return symbols.new_zeros(())
         if has_kernel(symbols):
-            from ..cpu.plane_bits import PlaneBits  # noqa: PLC0415 (needs numba)
-
             plans = [self.sarm.plan(i) for i in range(self.sarm.hidden + 1)]
             bits: Tensor = PlaneBits.apply(plans, symbols, self.floor, *self.sarm.pairs())
             return bits
@@ -182,8 +182,6 @@ class RateModel(nn.Module):
         return count_torch(out, change, symbols, kept, self.floor, self.columns)
 
     def _attribute_bits_on_cpu(self, hidden: Tensor, symbols: Tensor, kept: Tensor) -> Tensor:
-        from ..cpu.attributes import AttributeBits, Counting  # noqa: PLC0415 (needs numba)
-
         of, last, carm = self.columns, self.hyper.hidden, self._carm()
         rows = slice(0, 2 * of.width)
         plans = [[network.plan(i) for i in range(network.hidden + 1)] for network in carm]
