@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import os
-import re
 import sys
 from collections.abc import Callable
 from http import HTTPStatus
@@ -15,11 +14,10 @@ ADDRESS = "127.0.0.1"
 # The path of the file.
 FILE = "scene.c3gs"
 _BLOCK = 1 << 16
-_RANGE = re.compile(r"bytes=(\d{0,18})-(\d{0,18})", re.ASCII)
 
 
 class Server(ThreadingHTTPServer):
-    """Serves the page at / and the file at /scene.c3gs, also ranges of its bytes (RFC 9110, chapter 14)."""
+    """Serves the page at / and the file at /scene.c3gs."""
 
     page: bytes
     file: Callable[[], BinaryIO]
@@ -49,15 +47,13 @@ class _Handler(BaseHTTPRequestHandler):
     timeout = 60
 
     def do_GET(self) -> None:
-        """Answers with the page, the file or a range of it."""
+        """Answers with the page or the file."""
         # DNS rebinding: a page of another site would send the name of that site.
-        port = self.server.server_port
+        port, path = self.server.server_port, self.path.partition("?")[0]
         if self.headers.get("Host") not in (f"{ADDRESS}:{port}", f"localhost:{port}"):
             self.send_error(HTTPStatus.FORBIDDEN)
-            return
-        path = self.path.partition("?")[0]
-        if path == "/":
-            self._send(io.BytesIO(self.server.page), "text/html; charset=utf-8", False)
+        elif path == "/":
+            self._send(io.BytesIO(self.server.page), "text/html; charset=utf-8")
         elif path == f"/{FILE}":
             try:
                 file = self.server.file()
@@ -65,7 +61,7 @@ class _Handler(BaseHTTPRequestHandler):
                 self.send_error(HTTPStatus.NOT_FOUND)
                 return
             with file:
-                self._send(file, "application/octet-stream", True)
+                self._send(file, "application/octet-stream")
         else:
             self.send_error(HTTPStatus.NOT_FOUND)
 
@@ -73,23 +69,11 @@ class _Handler(BaseHTTPRequestHandler):
         """Answers as do_GET, without the content."""
         self.do_GET()
 
-    def _send(self, file: BinaryIO, kind: str, ranges: bool) -> None:
-        length = file.seek(0, os.SEEK_END)
-        found = self._range(length) if ranges else None
-        start, end = found or (0, length)
-        if start >= end and found is not None:
-            self.send_response(HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE)
-            self.send_header("Content-Range", f"bytes */{length}")
-            start = end = 0
-        elif found is not None:
-            self.send_response(HTTPStatus.PARTIAL_CONTENT)
-            self.send_header("Content-Range", f"bytes {start}-{end - 1}/{length}")
-        else:
-            self.send_response(HTTPStatus.OK)
+    def _send(self, file: BinaryIO, kind: str) -> None:
+        left = file.seek(0, os.SEEK_END)
+        self.send_response(HTTPStatus.OK)
         self.send_header("Content-Type", kind)
-        self.send_header("Content-Length", str(end - start))
-        if ranges:
-            self.send_header("Accept-Ranges", "bytes")
+        self.send_header("Content-Length", str(left))
         # The file may change between requests.
         self.send_header("Cache-Control", "no-store")
         self.send_header("X-Content-Type-Options", "nosniff")
@@ -97,9 +81,9 @@ class _Handler(BaseHTTPRequestHandler):
         self.end_headers()
         if self.command == "HEAD":
             return
-        file.seek(start)
-        while start < end and (block := file.read(min(_BLOCK, end - start))):
-            start += len(block)
+        file.seek(0)
+        while left and (block := file.read(min(_BLOCK, left))):
+            left -= len(block)
             try:
                 self.wfile.write(block)
             except OSError:
@@ -107,22 +91,7 @@ class _Handler(BaseHTTPRequestHandler):
                 self.close_connection = True
                 return
         # The file became shorter than the stated length.
-        self.close_connection = self.close_connection or start < end
-
-    def _range(self, length: int) -> tuple[int, int] | None:
-        """Returns the requested range of bytes, start and end, or None for all.
-
-        Several ranges, and invalid forms, count as none. A range with no byte of the file is empty.
-        """
-        found = _RANGE.fullmatch(self.headers.get("Range", ""))
-        if found is None or not (found[1] or found[2]):
-            return None
-        if not found[1]:
-            return max(length - int(found[2]), 0), length if int(found[2]) else 0
-        start = int(found[1])
-        if found[2] and int(found[2]) < start:
-            return None
-        return start, min(int(found[2]) + 1, length) if found[2] else length
+        self.close_connection = self.close_connection or left > 0
 
     def log_message(self, format: str, *args: object) -> None:
         """Does not log requests."""
