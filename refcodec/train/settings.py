@@ -16,6 +16,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TypeVar
 
+from msgspec import Struct
+
 T = TypeVar("T")
 
 # The origins of defaults: tried for this trainer, 3D Gaussian Splatting (Kerbl et al. 2023), Scaffold-GS (Lu et al.
@@ -348,8 +350,7 @@ MODES: dict[str, tuple[str, ...]] = {
 }
 
 
-@dataclass(frozen=True)
-class Phase:
+class Phase(Struct, frozen=True, forbid_unknown_fields=True):
     """A phase of training.
 
     name: its name in messages and tables. begin: the share of all steps after which it begins. modes: the modes of

@@ -9,16 +9,17 @@ import json
 import math
 import textwrap
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import Field, asdict, fields, is_dataclass, replace
+from dataclasses import Field, fields, is_dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar, get_args, get_origin, get_type_hints
+from types import GenericAlias
+from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
-from ..files.documents import TOML_MAX, DocumentError, parse_toml
+from msgspec import Meta, to_builtins
+
+from ..files.documents import TOML_MAX, DocumentError, FieldError, checked, parse_toml
 from .settings import Phase, TrainSettings
 
 T = TypeVar("T")
-
-_WORDS = {int: "a whole number", float: "a number", bool: "true or false", str: "a text"}
 
 
 class SettingsError(ValueError):
@@ -30,7 +31,7 @@ class SettingsError(ValueError):
 
 def document(settings: Any) -> dict[str, Any]:
     """Settings as JSON has them: dictionaries, lists, numbers and texts. merged() makes the settings again."""
-    plain: dict[str, Any] = json.loads(json.dumps(asdict(settings)))
+    plain: dict[str, Any] = json.loads(json.dumps(to_builtins(settings)))
     return plain
 
 
@@ -57,7 +58,7 @@ def to_toml(settings: TrainSettings) -> str:
     for entry in fields(settings):
         value = getattr(settings, entry.name)
         if is_dataclass(value):
-            groups += ["", f"# {_first_line(value)}", f"[{entry.name}]"]
+            groups += ["", f"# {str(type(value).__doc__).partition(chr(10))[0]}", f"[{entry.name}]"]
             for inner in fields(value):
                 groups += [*_note(inner), f"{inner.name} = {_toml(getattr(value, inner.name))}"]
         elif entry.name == "phases":
@@ -66,15 +67,10 @@ def to_toml(settings: TrainSettings) -> str:
                 "# The phases in their order. Each changes the modes of some parts, from a share of the steps on.",
             ]
             for phase in value:
-                groups.append("[[phases]]")
-                groups += [f"{inner.name} = {_toml(getattr(phase, inner.name))}" for inner in fields(phase)]
+                groups += ["[[phases]]", *(f"{key} = {_toml(inner)}" for key, inner in to_builtins(phase).items())]
         else:
             lines += [*_note(entry), f"{entry.name} = {_toml(value)}"]
     return "\n".join([*lines, *groups]) + "\n"
-
-
-def _first_line(group: Any) -> str:
-    return str(type(group).__doc__).split("\n", 1)[0]
 
 
 def _note(entry: Field[Any]) -> list[str]:
@@ -85,17 +81,11 @@ def _note(entry: Field[Any]) -> list[str]:
         words.append(f"Unit: {notes['unit']}")
     if notes["choices"]:
         words.append(f"One of {', '.join(notes['choices'])}")
-    if (bounds := _bounds(notes)) != "any":
-        words.append(f"Range: {bounds}")
+    low, high = notes["low"], notes["high"]
+    if math.isfinite(low):
+        words.append(f"Range: {low:g} to {high:g}" if math.isfinite(high) else f"Range: {low:g} or more")
     text = ". ".join([*words, f"Source: {notes['source']}"]) + "."
     return textwrap.wrap(text, 118, initial_indent="# ", subsequent_indent="#   ")
-
-
-def _bounds(notes: Mapping[str, Any]) -> str:
-    low, high = notes["low"], notes["high"]
-    if math.isinf(low) and math.isinf(high):
-        return "any"
-    return f"{low:g} or more" if math.isinf(high) else f"{low:g} to {high:g}"
 
 
 def _toml(value: Any) -> str:
@@ -106,8 +96,8 @@ def _toml(value: Any) -> str:
         return json.dumps(value)
     if isinstance(value, tuple):
         return f"[{', '.join(map(_toml, value))}]"
-    if is_dataclass(value) and not isinstance(value, type):
-        value = asdict(value)
+    if is_dataclass(value):
+        value = to_builtins(value)
     if isinstance(value, Mapping):
         return f"{{{', '.join(f'{key} = {_toml(inner)}' for key, inner in value.items())}}}"
     return repr(value)
@@ -182,7 +172,7 @@ def merged(base: T, changes: Mapping[str, Any], prefix: str = "") -> T:
         elif key == "phases":
             updates[key] = _phases(now, value)
         else:
-            updates[key] = _checked(name, value, hints[key], known[key].metadata)
+            updates[key] = _value(name, value, _kind(hints[key], known[key].metadata))
     try:
         return replace(base, **updates)  # type: ignore[type-var]
     except SettingsError:
@@ -191,54 +181,49 @@ def merged(base: T, changes: Mapping[str, Any], prefix: str = "") -> T:
         raise SettingsError(str(error)) from None
 
 
-def _checked(name: str, value: Any, kind: Any, notes: Mapping[str, Any]) -> Any:
-    """A value of the type that a setting has. Raises SettingsError."""
-    if get_origin(kind) is tuple:
-        inner = get_args(kind)
-        count = None if Ellipsis in inner else len(inner)
-        if not isinstance(value, list | tuple) or not value or len(value) != (count or len(value)):
-            raise SettingsError(f"{name} is {value!r}: a list of {count or 'one or more'} is required")
-        return tuple(_checked(f"{name}[{i}]", element, inner[0], notes) for i, element in enumerate(value))
+def _kind(hint: Any, notes: Mapping[str, Any]) -> Any:
+    """The type of a setting with its bounds, as msgspec checks them."""
+    if get_origin(hint) is tuple:
+        inner = tuple(each if each is Ellipsis else _kind(each, notes) for each in get_args(hint))
+        kind = GenericAlias(tuple, inner)
+        return Annotated[kind, Meta(min_length=1)] if Ellipsis in inner else kind
+    if notes["choices"]:
+        return Literal[notes["choices"]]
+    bounds = {name: value for name, value in (("ge", notes["low"]), ("le", notes["high"])) if math.isfinite(value)}
+    return Annotated[hint, Meta(**bounds)]
+
+
+def _value(name: str, value: Any, kind: Any) -> Any:
+    """A value of a setting's type. Raises SettingsError."""
     # A size of photographs is a text that may be all digits.
-    if kind is str and isinstance(value, int) and not isinstance(value, bool):
+    if get_args(kind)[:1] == (str,) and type(value) is int:
         value = str(value)
-    right = isinstance(value, int | float if kind is float else kind) and (kind is bool or not isinstance(value, bool))
-    if not right:
-        raise SettingsError(f"{name} is {value!r}: {_WORDS[kind]} is required")
-    if kind is str:
-        if notes["choices"] and value not in notes["choices"]:
-            raise SettingsError(f"{name} is {value!r}: one of {', '.join(notes['choices'])} is required")
-    elif kind is not bool and not (math.isfinite(value) and notes["low"] <= value <= notes["high"]):
-        raise SettingsError(f"{name} is {value!r}: {_bounds(notes)} is required")
-    return kind(value)
+    try:
+        return checked(value, kind)
+    except FieldError as error:
+        problem = error.problem
+        if get_origin(kind) is Literal:
+            problem = f"is {value!r}: one of {', '.join(get_args(kind))} is required"
+        raise SettingsError(f"{name}{'.' if error.name[:1].isalpha() else ''}{error.name} {problem}") from None
 
 
-def _phases(now: tuple[Phase, ...], value: Any) -> tuple[Phase, ...]:
-    """All phases, of a list; or those that there are, with changes by their names."""
-    if isinstance(value, list):
-        return tuple(_phase(f"phases[{i}]", None, entry) for i, entry in enumerate(value))
+def _phases(now: tuple[Phase, ...], changes: Any) -> tuple[Phase, ...]:
+    """All phases, of a list; or those that there are, with changes by their names. Raises SettingsError."""
+    if not isinstance(changes, Mapping):
+        phases: tuple[Phase, ...] = _value("phases", changes, tuple[Phase, ...])
+        return phases
     names = [phase.name for phase in now]
-    if not isinstance(value, Mapping):
-        raise SettingsError(f"phases is {value!r}: a list of phases is required")
-    for name in value:
-        if name not in names:
-            raise SettingsError(f"there is no phase {name}; phases are {', '.join(names)}")
-    return tuple(_phase(f"phases.{p.name}", p, value[p.name]) if p.name in value else p for p in now)
+    if unknown := [name for name in changes if name not in names]:
+        raise SettingsError(f"there is no phase {unknown[0]}; phases are {', '.join(names)}")
+    return tuple(_changed(phase, changes.get(phase.name, {})) for phase in now)
 
 
-def _phase(where: str, now: Phase | None, value: Any) -> Phase:
-    keys = [entry.name for entry in fields(Phase)]
-    given = dict(value) if isinstance(value, Mapping) else None
-    if given is None or not set(given) <= set(keys) or (now is None and set(given) != set(keys)):
-        raise SettingsError(f"{where} is {value!r}: a table of {', '.join(keys)} is required")
-    values = {**vars(now), **given} if now else given
-    if now and isinstance(given.get("modes"), Mapping):
-        values["modes"] = {**now.modes, **given["modes"]}
-    name, begin, modes = (values[key] for key in keys)
-    if not isinstance(name, str):
-        raise SettingsError(f"{where}.name is {name!r}: a text is required")
-    if isinstance(begin, bool) or not isinstance(begin, int | float) or not math.isfinite(begin):
-        raise SettingsError(f"{where}.begin is {begin!r}: a number is required")
-    if not isinstance(modes, Mapping) or not all(isinstance(mode, str) for mode in modes.values()):
-        raise SettingsError(f"{where}.modes is {modes!r}: the modes of parts by their names are required")
-    return Phase(name, float(begin), dict(modes))
+def _changed(phase: Phase, changes: Any) -> Phase:
+    name, document = f"phases.{phase.name}", to_builtins(phase)
+    if not isinstance(changes, Mapping):
+        raise SettingsError(f"{name} is {changes!r}: a table of {', '.join(document)} is required")
+    changed = document | changes
+    if isinstance(modes := changed["modes"], Mapping):
+        changed["modes"] = document["modes"] | modes
+    phase = _value(name, changed, Phase)
+    return phase
