@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from types import SimpleNamespace
+from types import ModuleType, SimpleNamespace
 
 import pytest
 
@@ -53,38 +53,34 @@ def test_a_function_is_kept_outside_the_package(cache: Path) -> None:
     assert not Path(blending.blend_tiles.stats.cache_path).is_relative_to(PACKAGE)
 
 
-def changed(module: object, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def changed(module: ModuleType) -> Callable[[Path, pytest.MonkeyPatch], None]:
     """Gives a module another source."""
-    source = Path(module.__file__)  # type: ignore[attr-defined]
-    other = folder / source.name
-    other.write_bytes(source.read_bytes() + b"# changed\n")
-    monkeypatch.setattr(module, "__file__", str(other))
+
+    def change(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        source = Path(str(module.__file__))
+        (folder / source.name).write_bytes(source.read_bytes() + b"# changed\n")
+        monkeypatch.setattr(module, "__file__", str(folder / source.name))
+
+    return change
 
 
-@pytest.mark.parametrize("module", [blending, tiles, simd])
-def test_a_change_of_an_inlined_function_is_a_change(
-    module: object, cache: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("module", "change", "is_change"),
+    [
+        (blending, lambda *_: None, False),
+        # Functions that are inlined, and a constant of another module.
+        *((blending, changed(inlined), True) for inlined in (blending, tiles, simd)),
+        (blending, lambda _, monkeypatch: monkeypatch.setattr(blending, "LEAST", constants.LEAST * 2), True),
+        (tiles, changed(blending), False),
+    ],
+)
+def test_a_stamp_tells_changes(
+    module: ModuleType, change: Callable[..., None], is_change: bool, cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    before = compiled.stamp(blending.__name__)
+    before = compiled.stamp(module.__name__)
     fresh()
-    assert compiled.stamp(blending.__name__) == before
-    fresh()
-    changed(module, cache, monkeypatch)
-    assert compiled.stamp(blending.__name__) != before
-
-
-def test_a_change_of_a_constant_of_another_module_is_a_change(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    before = compiled.stamp(blending.__name__)
-    fresh()
-    monkeypatch.setattr(blending, "LEAST", constants.LEAST * 2)
-    assert compiled.stamp(blending.__name__) != before
-
-
-def test_a_change_elsewhere_is_none(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    before = compiled.stamp(tiles.__name__)
-    fresh()
-    changed(blending, cache, monkeypatch)
-    assert compiled.stamp(tiles.__name__) == before
+    change(cache, monkeypatch)
+    assert (compiled.stamp(module.__name__) != before) == is_change
 
 
 def test_the_folders_that_were_used_last_stay(cache: Path) -> None:

@@ -334,14 +334,8 @@ def digest() -> str:
     image = torch.from_numpy(rendering.image).requires_grad_()
     value = 1 - Photometric.apply(image, target, 1.0)
     value.backward()
-    found = [
-        rendering.image,
-        rendering.transmittance,
-        rendering.radius,
-        *vars(gradients).values(),
-        value.detach().numpy(),
-        image.grad.numpy(),
-    ]
+    found = [rendering.image, rendering.transmittance, rendering.radius, *vars(gradients).values()]
+    found += [value.detach().numpy(), image.grad.numpy()]
     return hashlib.sha256(b"".join(np.ascontiguousarray(v).tobytes() for v in found)).hexdigest()
 
 
@@ -435,13 +429,8 @@ def test_what_gsplat_is_given(monkeypatch: pytest.MonkeyPatch) -> None:
             lens[0].double().numpy(),
             torch.zeros(1, len(values[0]), 2, dtype=torch.float64, requires_grad=True),
         )
-        found = Camera(
-            "",
-            width,
-            height,
-            *matrix[[0, 1, 0, 1], [0, 1, 2, 2]],
-            *(v.double().numpy() for v in (view[0, :3, :3], view[0, :3, 3])),
-        )
+        pose = (v.double().numpy() for v in (view[0, :3, :3], view[0, :3, 3]))
+        found = Camera("", width, height, *matrix[[0, 1, 0, 1], [0, 1, 2, 2]], *pose)
         settings = Settings(eps2d, near_plane, background=tuple(backgrounds[0].tolist()))
         named = {name: value.double() for name, value in zip(NAMES, values, strict=True)}
         image, transmittance, _ = dense({**named, "moved": place[0]}, found, settings)
@@ -480,19 +469,15 @@ def test_draw_on_the_gpu() -> None:
 
 
 @pytest.mark.parametrize(
-    "change",
+    ("name", "value"),
     [
-        {"low_pass": -1.0},
-        {"low_pass": np.inf},
-        {"near_plane": 0.0},
-        {"alpha_max": 1.01},
-        {"background": (0.0,)},
-        {"near_plane": np.nan},
+        *(("low_pass", -1.0), ("low_pass", np.inf), ("near_plane", 0.0), ("near_plane", np.nan)),
+        *(("alpha_max", 1.01), ("background", (0.0,))),
     ],
 )
-def test_settings_errors(change: dict[str, Any]) -> None:
+def test_settings_errors(name: str, value: Any) -> None:
     with pytest.raises(ValueError, match=r"required|not 3"):
-        Settings(**change)
+        Settings(**{name: value})
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -19,6 +19,7 @@ from conformance.manifest import VECTORS
 from refcodec import statuses
 from refcodec.bitstream.cameras import NamedCamera, rotation_matrix
 from refcodec.bitstream.codec import parse
+from refcodec.bitstream.dimensions import RENDERING
 from refcodec.bitstream.header import RenderInfo
 from refcodec.bitstream.reconstruction import Reconstruction, digest, reconstruct
 from refcodec.bitstream.reconstruction import gaussians as splat_of
@@ -51,26 +52,12 @@ def scene_of(seed: int, anchors: int = 60) -> tuple[Scene, Reconstruction, Camer
 
 
 def by_the_text(spec: dict, scene: Scene, values: Reconstruction, camera: Camera) -> list[tuple]:
-    networks = {
-        n: [(w.tolist(), b.tolist()) for w, b in scene.networks[n]] for n in ("opacity", "covariance", "colour")
-    }
-    found = []
+    networks = {name: [(w.tolist(), b.tolist()) for w, b in scene.networks[name]] for name in RENDERING}
+    parts = (values.positions, values.features, values.scalings, values.offsets)
+    view, found = (camera.centre.tolist(), scene.render.distance_unit), []
     for n in range(scene.anchor_count):
-        row = (
-            getattr(values, name)[n].astype(np.float64).tolist()
-            for name in ("positions", "features", "scalings", "offsets")
-        )
-        position, feature, scaling, offsets = row
-        found += spec["GAUSSIANS"](
-            networks,
-            position,
-            feature,
-            scaling,
-            offsets,
-            scene.masks[n].tolist(),
-            camera.centre.tolist(),
-            scene.render.distance_unit,
-        )
+        row = (part[n].astype(np.float64).tolist() for part in parts)
+        found += spec["GAUSSIANS"](networks, *row, scene.masks[n].tolist(), *view)
     return found
 
 
@@ -301,14 +288,8 @@ def test_hostile_numbers_give_an_image(rasterise: Any) -> None:
     """Whatever a valid file's floats are, an image is made, of finite numbers and without a warning."""
     found = cloud(7, 40)
     found.mean[:10] = [[1e30, 0, 1], [0, 0, 0.2], [0, 0, 1e-30], [np.inf, 0, 1], [np.nan, 0, 1], *[[0, 0, 1e20]] * 5]
-    found.lengths[10:16] = [
-        [0, 0, 0],
-        [1e30, 1e30, 1e30],
-        [np.inf, 1, 1],
-        [1e-40, 1, 1],
-        [1e18, 1e-18, 0],
-        [1e6, 1e6, 1e6],
-    ]
+    found.lengths[10:13] = [[0, 0, 0], [1e30, 1e30, 1e30], [np.inf, 1, 1]]
+    found.lengths[13:16] = [[1e-40, 1, 1], [1e18, 1e-18, 0], [1e6, 1e6, 1e6]]
     assert np.isfinite(rasterise.image(found, VIEW, RenderInfo())).all()
     found.colour[20:23] = [[np.nan, 0, 0], [0, np.inf, 0], [0, 0, -np.inf]]
     assert np.isfinite(rasterise.image(found, VIEW, RenderInfo())).all()

@@ -190,12 +190,8 @@ def test_render(file: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     assert main(["render", file, "-o", str(tmp_path / "own")]) == 0
     assert Image.open(tmp_path / "own" / "default.png").size == (40, 30)
     assert main(["render", file, "-o", str(tmp_path / "orbit"), "--cameras", "orbit", "--frames", "3"]) == 0
-    assert sorted(p.name for p in (tmp_path / "orbit").iterdir()) == [
-        "orbit-0000.png",
-        "orbit-0001.png",
-        "orbit-0002.png",
-        "orbit.gif",
-    ]
+    names = [*(f"orbit-000{number}.png" for number in range(3)), "orbit.gif"]
+    assert sorted(p.name for p in (tmp_path / "orbit").iterdir()) == names
     assert main(["render", file, "-o", str(tmp_path / "photos"), "--cameras", str(PHOTOGRAPHS), "--size", "40"]) == 0
     made = sorted((tmp_path / "photos").iterdir())
     assert [p.stem for p in made] == sorted(p.stem for p in (PHOTOGRAPHS / "images").iterdir())
@@ -237,18 +233,8 @@ def test_what_is_wrong_is_said(
     assert main(arguments(str(bad), str(PHOTOGRAPHS))) == 1
     assert '"code": 311' in capsys.readouterr().err
     # Without numba; and an import that fails for another reason is a fault, and not hidden.
-    for name in [
-        m
-        for m in sys.modules
-        if m
-        in (
-            "refcodec.evaluate.evaluation",
-            "refcodec.rendering.view",
-            "refcodec.evaluate.quality",
-            "refcodec.rendering.rasterise",
-        )
-    ]:
-        monkeypatch.delitem(sys.modules, name)
+    for name in ("evaluate.evaluation", "evaluate.quality", "rendering.view", "rendering.rasterise"):
+        monkeypatch.delitem(sys.modules, f"refcodec.{name}", raising=False)
     monkeypatch.setitem(sys.modules, "numba", None)
     assert main(arguments(file, folder)) == 64
     assert "pip install 'refcodec[render]'" in capsys.readouterr().err
