@@ -56,31 +56,16 @@ def model(count=COUNT, camera=PINHOLE, seed=0):
 
 def write_text(folder, cameras, rows, points):
     folder.mkdir(parents=True, exist_ok=True)
-    text = ["# cameras"] + [
-        f"{i} {m} {w} {h} {' '.join(map(repr, map(float, p)))}" for i, (m, w, h, p) in cameras.items()
+    lenses = [(i, m, w, h, *map(float, p)) for i, (m, w, h, p) in cameras.items()]
+    poses = [
+        line
+        for i, q, t, camera, name, seen in rows
+        for line in ((i, *map(float, (*q, *t)), camera, name), [v for s in seen for v in s])
     ]
-    (folder / "cameras.txt").write_text("\n".join(text) + "\n")
-    text = ["# images"]
-    for i, q, t, camera, name, seen in rows:
-        text += [
-            f"{i} {' '.join(repr(float(v)) for v in (*q, *t))} {camera} {name}",
-            " ".join(f"{x} {y} {k}" for x, y, k in seen),
-        ]
-    (folder / "images.txt").write_text("\n".join(text) + "\n")
-    text = ["# points"]
-    for i, p, c, e, track in points:
-        text.append(
-            " ".join(
-                [
-                    str(i),
-                    *(repr(float(v)) for v in p),
-                    *(str(int(v)) for v in c),
-                    str(e),
-                    *(f"{a} {b}" for a, b in track),
-                ]
-            )
-        )
-    (folder / "points3D.txt").write_text("\n".join(text) + "\n")
+    cloud = [(i, *map(float, p), *map(int, c), e, *(v for t in track for v in t)) for i, p, c, e, track in points]
+    for part, lines in zip(PARTS, (lenses, poses, cloud), strict=True):
+        text = [f"# {part}", *(" ".join(map(str, line)) for line in lines)]
+        (folder / f"{part}.txt").write_text("\n".join(text) + "\n")
 
 
 def write_binary(folder, cameras, rows, points):
@@ -279,7 +264,7 @@ def test_no_folder(tmp_path):
     refused(tmp_path, "there are no cameras", "sparse/0/cameras.bin", "transforms.json")
 
 
-@pytest.mark.parametrize("part", ["cameras", "images", "points3D"])
+@pytest.mark.parametrize("part", PARTS)
 def test_every_truncation_of_binary(part, tmp_path):
     cameras, rows, points = model(2)
     write_colmap(tmp_path, write_binary, content=(cameras, rows, points[:3]))
@@ -292,7 +277,7 @@ def test_every_truncation_of_binary(part, tmp_path):
     refused(tmp_path, f"{part}.bin", "1 bytes follow")
 
 
-@pytest.mark.parametrize("part", ["cameras", "images", "points3D"])
+@pytest.mark.parametrize("part", PARTS)
 @pytest.mark.parametrize("count", [1 << 20, 1 << 40, (1 << 64) - 1])
 def test_absurd_counts(part, count, tmp_path):
     write_colmap(tmp_path, write_binary)
@@ -309,7 +294,7 @@ def test_any_quaternion_length():
         )
 
 
-@given(st.sampled_from(["cameras", "images", "points3D"]), st.integers(0, 10_000), st.binary(min_size=1, max_size=12))
+@given(st.sampled_from(PARTS), st.integers(0, 10_000), st.binary(min_size=1, max_size=12))
 def test_damaged_models(template, part, at, patch):
     """Whatever stands anywhere in a model's files: a set of photographs, or PhotographError."""
     (file,) = (template / "sparse/0").glob(f"{part}.*")
@@ -698,8 +683,6 @@ def test_frames_without_pose_are_counted(nerf):
     change(nerf, lambda d: [d["frames"][i].pop("transform_matrix") for i in (2, 5)])
     found = read_photographs(nerf)
     assert (found.skipped, len(found.train) + len(found.test)) == (2, 8)
-    change(nerf, lambda d: [f.pop("transform_matrix", None) for f in d["frames"]])
-    refused(nerf, "no image has a pose", "transform_matrix")
 
 
 JSON = st.recursive(
@@ -710,15 +693,7 @@ JSON = st.recursive(
     ),
     max_leaves=20,
 )
-KEYS = [
-    "frames",
-    "file_path",
-    "transform_matrix",
-    "ply_file_path",
-    *transforms.Frame.__struct_fields__,
-    "camera_model",
-    "is_fisheye",
-]
+KEYS = ["frames", "ply_file_path", *transforms.Frame.__struct_fields__]
 
 
 @pytest.fixture(scope="module")
