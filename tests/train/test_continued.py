@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -129,10 +130,7 @@ def test_masks_and_phases(tmp_path: Path) -> None:
         beginning(replace(given, cloud=empty), photographs, settings)
 
 
-def test_what_is_no_scene_to_go_on_from(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    source = str(photographed(model(), tmp_path / "photographs"))
-    for name, said in (("none", "is not a scene folder"), ("photographs", "cannot continue training")):
-        assert main(["train", source, "-o", str(tmp_path / "out"), "--from", str(tmp_path / name)]) == 64
-        err = capsys.readouterr().err
-        assert err.count("\n") == 1
-        assert said in err
+def test_what_is_no_scene_to_go_on_from(tmp_path: Path, refused: Callable[..., str]) -> None:
+    source = photographed(model(), tmp_path / "photographs")
+    for name, message in (("none", "is not a scene folder"), ("photographs", "cannot continue training")):
+        assert message in refused("train", source, "-o", tmp_path / "out", "--from", tmp_path / name)

@@ -198,8 +198,6 @@ def trained(photographs: PhotographSet, settings: TrainSettings, device: str, st
     made = Trainer(photographs, settings, device)
     if device == "cpu":
         made.noise = torch.Generator().manual_seed(settings.seed)
-        if made.rate is not None:
-            made.rate.quantisation.random = made.noise
     while made.clock.done < (settings.steps if steps is None else steps):
         made.step()
         made.looks.look()

@@ -2,56 +2,27 @@
 
 from __future__ import annotations
 
-import json
-import math
+from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from PIL import Image
 
-from refcodec.photographs.photographs import PhotographSet, read_photographs
-from refcodec.rendering.camera import looking
+from refcodec.photographs.photographs import PhotographSet
 from refcodec.train import start
 from refcodec.train.hull import carved
 from refcodec.train.settings import TrainSettings
 from refcodec.train.settings_file import varied
 from refcodec.train.start import asked_for, choose_voxel, first_anchors
 
-SIZE, AWAY, RADIUS, VIEWS = 48, 4.0, 0.5, 24
-FOCAL = SIZE / 2 / math.tan(0.35)
-BALL = (200, 60, 20)
+Ball = Callable[[str, str], PhotographSet]
+RADIUS, BALL = 0.5, (200, 60, 20)
 
 
-def write_ball(folder: Path, mode: str) -> PhotographSet:
-    """Photographs of a ball around (0.2, 0, 0) from a circle and a wave around it, in NeRF's format."""
-    folder.mkdir()
-    frames = []
-    row, column = np.mgrid[:SIZE, :SIZE] + 0.5
-    for number in range(VIEWS):
-        turn = 2 * math.pi * number / VIEWS
-        centre = AWAY * np.array([math.cos(turn), math.sin(turn), 0.6 * math.sin(3 * turn)])
-        rotation = looking(-centre, np.array([0.0, 0.0, 1.0]))
-        ball = rotation @ (np.array([0.2, 0, 0]) - centre)
-        rays = np.stack([(column - SIZE / 2) / FOCAL, (row - SIZE / 2) / FOCAL, np.ones_like(row)], axis=2)
-        rays /= np.linalg.norm(rays, axis=2, keepdims=True)
-        hit = (ball**2).sum() - (rays @ ball) ** 2 < RADIUS**2
-        image = np.zeros((SIZE, SIZE, 4), np.uint8)
-        image[hit] = (*BALL, 255)
-        Image.fromarray(image).convert(mode).save(folder / f"{number}.png")
-        matrix = np.eye(4)
-        matrix[:3, :3], matrix[:3, 3] = rotation.T * [1, -1, -1], centre
-        frames.append({"file_path": f"{number}.png", "transform_matrix": matrix.tolist()})
-    document = {"fl_x": FOCAL, "fl_y": FOCAL, "cx": SIZE / 2, "cy": SIZE / 2, "frames": frames}
-    (folder / "transforms.json").write_text(json.dumps(document))
-    return read_photographs(folder)
-
-
-def test_points_are_where_something_is(tmp_path: Path) -> None:
-    photographs = write_ball(tmp_path / "ball", "RGBA")
+def test_points_are_where_something_is(write_ball: Ball) -> None:
+    photographs = write_ball("ball", "RGBA")
     points, colours = carved(photographs, 2000, 0)
     away = np.linalg.norm(points - [0.2, 0, 0], axis=1)
     assert len(points) >= 2000
@@ -68,18 +39,18 @@ def test_points_are_where_something_is(tmp_path: Path) -> None:
     assert not np.array_equal(points[:100], carved(photographs, 2000, 1)[0][:100])
 
 
-def test_photographs_that_are_not_transparent_show_nothing_empty(tmp_path: Path) -> None:
-    photographs = write_ball(tmp_path / "ball", "RGB")
+def test_photographs_that_are_not_transparent_show_nothing_empty(write_ball: Ball) -> None:
+    photographs = write_ball("ball", "RGB")
     points, colours = carved(photographs, 2000, 0)
     assert np.array_equal(points, photographs.points)
     assert np.array_equal(colours, photographs.colours)
 
 
-def test_first_anchors_of_random_points(tmp_path: Path) -> None:
+def test_first_anchors_of_random_points(write_ball: Ball) -> None:
     """A cube of random points had anchors all over it, of which five in a hundred were on the ball."""
     settings = TrainSettings()
     for mode, least in (("RGBA", 0.95), ("RGB", 0.0)):
-        photographs = write_ball(tmp_path / mode, mode)
+        photographs = write_ball(mode, mode)
         found = first_anchors(photographs, settings)
         places = found.units.origin + found.lattice * (found.units.cell * found.units.length)
         inside = (np.linalg.norm(places - [0.2, 0, 0], axis=1) < 1.3 * RADIUS).mean()
@@ -101,10 +72,10 @@ def test_first_anchors_of_random_points(tmp_path: Path) -> None:
     ],
 )
 def test_more_pixels_ask_for_more_random_points(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, changes: dict[str, int], asked: int, points: int
+    write_ball: Ball, monkeypatch: pytest.MonkeyPatch, changes: dict[str, int], asked: int, points: int
 ) -> None:
     """5,000 anchors were too few for photographs of 400 pixels: 37.5 dB, where 20,000 made 38.8."""
-    photographs, settings = write_ball(tmp_path / "ball", "RGBA"), varied(TrainSettings(), changes)
+    photographs, settings = write_ball("ball", "RGBA"), varied(TrainSettings(), changes)
     wanted: list[int] = []
 
     def noted(photographs: PhotographSet, count: int, seed: int) -> tuple[NDArray[Any], NDArray[Any]]:

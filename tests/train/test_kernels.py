@@ -85,15 +85,8 @@ def test_adam_is_torchs_where_every_row_is_touched() -> None:
         expected.grad = gradient.clone()
         optimiser.step()
         order = torch.randperm(40, generator=draw)
-        adam_rows(
-            table.numpy(),
-            first.numpy(),
-            second.numpy(),
-            step,
-            order.numpy(),
-            gradient[order].contiguous().numpy(),
-            np.float32(0.01),
-        )
+        tables, ordered = (v.numpy() for v in (table, first, second)), gradient[order].contiguous().numpy()
+        adam_rows(*tables, step, order.numpy(), ordered, np.float32(0.01))
     np.testing.assert_allclose(table, expected.detach(), rtol=1e-4, atol=1e-5)
 
 

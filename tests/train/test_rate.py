@@ -51,18 +51,16 @@ def test_the_rate_has_gradients(photographs: PhotographSet, small: TrainSettings
     assert float(model.steps(hidden)[:, 1].std()) == 0
 
 
-def test_bytes_are_what_was_estimated(trained: Trainer) -> None:
+def test_bytes_are_what_was_estimated(trained: Trainer, coded: Scene) -> None:
     """Code lengths as training counts them, against the coder's own models of the file's symbols: integers in both."""
-    scene = trained.result()
-    assert isinstance(scene, Scene)
     estimate = estimate_of(trained)
-    measures = Measures(scene.dimensions, scene.anchor_count)
-    measures.add(scene)
-    measures.finish(scene)
+    measures = Measures(coded.dimensions, coded.anchor_count)
+    measures.add(coded)
+    measures.finish(coded)
     assert estimate["attributes"] * 8 == pytest.approx(measures.bits["attributes"], rel=0.01)
     # Planes of so few anchors take 400 bytes: 1 % of them is less than the models' rounding makes.
     assert estimate["planes"] * 8 == pytest.approx(measures.bits["planes"], abs=64)
-    file = emit(packed(scene, None, None))
+    file = emit(packed(coded, None, None))
     packing = part_bytes(file, outline_of(file))
     assert estimate["positions"] == packing["positions"]
     assert estimate["weights"] == packing["weights"]
@@ -90,11 +88,9 @@ def test_a_training_without_a_hyperprior(photographs: PhotographSet, small: Trai
     assert estimate["weights"] == pytest.approx(sizes["weights"], abs=3)
 
 
-def test_weights_end_on_grids(trained: Trainer) -> None:
+def test_weights_end_on_grids(trained: Trainer, coded: Scene) -> None:
     """Every layer can be packed, and training draws with the weights of the file."""
-    scene = trained.result()
-    assert isinstance(scene, Scene)
-    for name, layers in scene.networks.items():
+    for name, layers in coded.networks.items():
         for number, layer in enumerate(layers):
             grid = to_grid(layer)
             assert grid is not None
@@ -102,27 +98,23 @@ def test_weights_end_on_grids(trained: Trainer) -> None:
             assert np.abs(grid.weight).max() < 4096, (name, number)
     assert trained.scaffold.networks.gridded
     for name, found in trained.scaffold.networks.layers().items():
-        for (weight, bias), (wanted, wanted_bias) in zip(found, scene.networks[name], strict=True):
+        for (weight, bias), (wanted, wanted_bias) in zip(found, coded.networks[name], strict=True):
             assert (weight == wanted).all()
             assert (bias == wanted_bias).all()
 
 
-def test_the_file_shows_what_the_training_showed(trained: Trainer, photographs: PhotographSet) -> None:
+def test_the_file_shows_what_the_training_showed(trained: Trainer, coded: Scene, photographs: PhotographSet) -> None:
     """SPEC 14.5: 50 dB between the trainer's image of the quantised scene and that of the decoded file."""
-    scene = trained.result()
-    assert isinstance(scene, Scene)
-    view = View(parse(emit(scene)).scene)
+    view = View(parse(emit(coded)).scene)
     for photograph in photographs.test[:3]:
-        shown = show(trained.scaffold, trained.drawing, scene, photograph.camera).numpy()
+        shown = show(trained.scaffold, trained.drawing, coded, photograph.camera).numpy()
         error = float(np.mean((view.draw(photograph.camera).clip(0, 1) - shown) ** 2))
         assert -10 * np.log10(error + 1e-12) > 50
 
 
-def test_positions_are_exact(trained: Trainer) -> None:
-    scene = trained.result()
-    assert isinstance(scene, Scene)
+def test_positions_are_exact(trained: Trainer, coded: Scene) -> None:
     units = trained.scaffold.units
     lattice = {tuple(c) for c in trained.scaffold.lattice.tolist()}
-    cells = (world_positions(scene).astype(np.float64) - units.origin) / (units.cell * units.length)
+    cells = (world_positions(coded).astype(np.float64) - units.origin) / (units.cell * units.length)
     np.testing.assert_allclose(cells, np.round(cells), atol=1e-3)
     assert {tuple(c) for c in np.round(cells).astype(int).tolist()} <= lattice

@@ -188,8 +188,13 @@ def test_values_out_of_range_are_refused(name: str, value: object, kept: Kept) -
     assert "\n" not in kept.said
 
 
-def test_another_version_and_other_files_are_refused(kept: Kept, tmp_path: Path) -> None:
-    trainer = Trainer(kept.photographs, kept.chosen)
+def test_other_trainings_versions_and_files_are_refused(kept: Kept, tmp_path: Path) -> None:
+    trainer, photographs = Trainer(kept.photographs, kept.chosen), kept.photographs
+    kept.write(kept.tensors, kept.values)
+    with pytest.raises(StateError, match=r"other settings; rate\.lambda_r is 0\.004, not 0\.01$"):
+        restore(Trainer(photographs, varied(kept.chosen, {"rate.lambda_r": 0.01})), kept.path)
+    with pytest.raises(StateError, match=r"other photographs$"):
+        restore(Trainer(replace(photographs, train=photographs.train[1:]), kept.chosen), kept.path)
     kept.write(kept.tensors, kept.values, version="1")
     with pytest.raises(StateError, match=r"its format is .* remove it, or write the scene to another folder$"):
         restore(trainer, kept.path)
@@ -200,6 +205,9 @@ def test_another_version_and_other_files_are_refused(kept: Kept, tmp_path: Path)
         restore(trainer, tmp_path)
     kept.path.write_bytes(kept.data[:-1] + bytes([kept.data[-1] ^ 1]))
     with pytest.raises(StateError, match="checksum"):
+        restore(trainer, kept.path)
+    kept.path.write_bytes(b"no state")
+    with pytest.raises(StateError, match="cannot be read"):
         restore(trainer, kept.path)
 
 

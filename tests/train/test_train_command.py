@@ -5,12 +5,11 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
-from PIL import Image
 
 from refcodec.bitstream.cameras import cameras
 from refcodec.bitstream.codec import parse
@@ -18,6 +17,7 @@ from refcodec.bitstream.metadata import metadata
 from refcodec.cli.main import main
 from refcodec.folder.read import read_folder
 from refcodec.folder.uncompressed import read_uncompressed
+from refcodec.photographs.photographs import PhotographSet
 from refcodec.train.command import state_path
 from refcodec.train.messages import LINE_SECONDS
 
@@ -100,10 +100,9 @@ def test_command_errors(
     assert not list(tmp_path.iterdir())
 
 
-def test_what_is_missing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for words in ([], ["photographs"], ["-o", str(tmp_path)]):
-        assert main(["train", *words]) == 64
-        assert "train needs PHOTOGRAPHS and -o SCENE_DIR" in capsys.readouterr().err
+def test_what_is_missing(tmp_path: Path, refused: Callable[..., str]) -> None:
+    for words in ([], ["photographs"], ["-o", tmp_path]):
+        assert "train needs PHOTOGRAPHS and -o SCENE_DIR" in refused("train", *words)
 
 
 def test_the_bitstream_side_does_not_import_training() -> None:
@@ -124,31 +123,17 @@ def test_settings_need_no_torch() -> None:
 
 
 @pytest.mark.slow
-def test_a_nerf_folder_with_transparent_images(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A red ball without ground, seen from around it, without points: it is learnt over white."""
-    frames = []
-    (tmp_path / "images").mkdir()
-    across, down = np.meshgrid(np.arange(32) - 15.5, np.arange(32) - 15.5)
-    ball = np.zeros((32, 32, 4), np.uint8)
-    ball[across**2 + down**2 < 64] = (220, 30, 20, 255)
-    for number in range(16):
-        angle = 2 * np.pi * number / 16
-        pose = np.array(
-            [
-                [np.cos(angle), 0, np.sin(angle), 4 * np.sin(angle)],
-                [0, 1, 0, 0],
-                [-np.sin(angle), 0, np.cos(angle), 4 * np.cos(angle)],
-            ]
-        )
-        Image.fromarray(ball).save(tmp_path / "images" / f"r_{number}.png")
-        frames.append({"file_path": f"images/r_{number}.png", "transform_matrix": pose.tolist()})
-    (tmp_path / "transforms.json").write_text(json.dumps({"camera_angle_x": 0.7, "frames": frames}))
-    scene, file = tmp_path / "scene", tmp_path / "scene.c3gs"
-    assert main(["train", str(tmp_path), "-o", str(scene), "--steps", "150"]) == 0
+def test_a_nerf_folder_with_transparent_images(
+    write_ball: Callable[[str, str], PhotographSet], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A ball without ground, seen from around it, without points: it is learnt over white."""
+    write_ball("ball", "RGBA")
+    source, scene, file = str(tmp_path / "ball"), tmp_path / "scene", tmp_path / "scene.c3gs"
+    assert main(["train", source, "-o", str(scene), "--steps", "150"]) == 0
     assert main(["encode", str(scene), "-o", str(file)]) == 0
     capsys.readouterr()
     assert parse(file.read_bytes()).scene.render.background == (255, 255, 255)
-    assert main(["eval", str(file), str(tmp_path), "--json"]) == 0
+    assert main(["eval", str(file), source, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["mean"]["psnr"] > 15
 
 
