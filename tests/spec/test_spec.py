@@ -955,7 +955,7 @@ def test_a_scene_as_text_gives_the_file(name: str) -> None:
 @pytest.mark.parametrize(
     ("path", "right", "wrong", "fault"),
     [
-        ("refcodec/folder/read.py", "(SPEC 5.9)", "(SPEC 5.16)", "5.16 is not about this code"),
+        ("refcodec/folder/read.py", "(SPEC 5.15)", "(SPEC 5.16)", "5.16 is not about this code"),
         (
             "refcodec/bitstream/reader.py",
             "10.1, CHUNKS: yields",
