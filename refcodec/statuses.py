@@ -36,5 +36,16 @@ def is_out_of_memory(error: BaseException) -> bool:
     )
 
 
-class UsageError(Exception):
-    """A wrong use that the caller can put right. The exit status is USAGE, and the text is one line."""
+class UsageError(ValueError):
+    """A wrong use that the caller can put right. The text is a line.
+
+    It is the base of all such errors. status: the exit status of a command. several_lines: whether the text has some.
+    about_input: whether it says "it" of the file that is read.
+    """
+
+    status: int = USAGE
+    several_lines: bool = False
+    about_input: bool = False
+
+    def __init__(self, text: str) -> None:
+        super().__init__(text)

@@ -11,7 +11,7 @@ from functools import cached_property
 
 from conformance.cli.main import make_parser as conformance_parser
 from refcodec import api
-from refcodec.cli.main import GROUPS, make_parser
+from refcodec.cli.parser import make_parser
 
 from .made import ROOT, Made
 
@@ -26,7 +26,7 @@ CHANGELOG.md at the last change: {news}
 def commands() -> dict[str, argparse.ArgumentParser]:
     """Returns the parsers of all commands by name, such as `refcodec encode`."""
     found: dict[str, argparse.ArgumentParser] = {}
-    for parser in (make_parser(list(GROUPS)), conformance_parser()):
+    for parser in (make_parser(), conformance_parser()):
         for action in parser._actions:
             if isinstance(action, argparse._SubParsersAction):
                 found |= {f"{parser.prog} {name}": command for name, command in action.choices.items()}

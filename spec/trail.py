@@ -151,7 +151,7 @@ def code() -> dict[str, Mentions]:
     return every
 
 
-def _tests() -> tuple[dict[str, list[CodePlace]], dict[str, list[CodePlace]]]:
+def proofs() -> tuple[dict[str, list[CodePlace]], dict[str, list[CodePlace]]]:
     """Returns the tests by the requirements that mark them, and by the clauses that they cite."""
     marked, citing = defaultdict(list), defaultdict(list)
     for path in sorted((ROOT / "tests").rglob("test_*.py")):
@@ -199,7 +199,7 @@ def trails(requirements: dict[str, Requirement], suite: Manifest) -> Record:
 
     Raises SystemExit if a test or a vector names a requirement that SPEC.md does not have.
     """
-    found, (marked, citing), tried = code(), _tests(), by_name(suite, lambda v: v.requirements)
+    found, (marked, citing), tried = code(), proofs(), by_name(suite, lambda v: v.requirements)
     strangers = [name for name in (*marked, *tried) if name not in requirements]
     if strangers:
         raise SystemExit(f"SPEC.md does not have {', '.join(sorted(set(strangers)))}")

@@ -50,8 +50,8 @@ for name, size in scene.sizes.items():
 # An image from the camera of the file, and one from the side.
 
 # %%
-image = refcodec.render(scene, scene.camera.resized(160, 120))
-side = refcodec.render(scene, scene.orbit(4)[1].resized(160, 120))
+image = scene.render(scene.camera.resized(160, 120))
+side = scene.render(scene.orbit(4)[1].resized(160, 120))
 print(f"image: {image.dtype} {list(image.shape)}, mean colour {image.mean(axis=(0, 1)).round().tolist()}")
 
 # %% [markdown]

@@ -2,40 +2,30 @@
 
 from __future__ import annotations
 
-import builtins
 import contextlib
-import os
-import stat
 from collections.abc import Iterator
-from dataclasses import replace
 from functools import cached_property
 from types import TracebackType
-from typing import cast
 
 from ..bitstream.ancillary import TYPES
-from ..bitstream.batches import GROUP_ANCHORS
-from ..bitstream.bounds import CAMERA, CHUNK, READING, Bounds
+from ..bitstream.bounds import CAMERA, CHUNK, Limits
 from ..bitstream.cameras import cameras
 from ..bitstream.codec import parse
 from ..bitstream.directory import INDEX, read_section
 from ..bitstream.errors import BitstreamError
-from ..bitstream.header import Header
+from ..bitstream.header import Header, read_header
 from ..bitstream.metadata import metadata
-from ..bitstream.reader import Reader
 from ..bitstream.scene import Ancillary
-from ..bitstream.source import FileBytes, Readable, SeekableFile, Source, StoredFile, WholeFile
-from ..bitstream.streaming import DecodedChunk, decoded_chunks, stated_bytes
-from ..files.remote import MEMORY_MAX, RemoteFile, is_url
+from ..bitstream.source import FileBytes, Place, Source
+from ..bitstream.streaming import DecodedChunk, decoded_chunks
+from ..folder.places import opened_source
 from ..formats.splats import Splats
 from ..inspect.elements import outline_of
 from ..inspect.parts import SPAN_BYTES, part_bytes
+from ..pages import notebook
 from ..rendering.camera import Camera
 from ..rendering.gaussians import check_static
-from . import page
 from .scenes import Scene, named_cameras
-
-# The source of a file: a path, a URL, its bytes, or a file object.
-Place = str | os.PathLike[str] | bytes | bytearray | memoryview | Readable
 
 # The most bytes of an ancillary section of a known type that are read.
 _SECTION_BYTES = 1 << 24
@@ -53,10 +43,10 @@ class File:
     header: Header
     byte_count: int
 
-    def __init__(self, source: Source, bounds: Bounds) -> None:
+    def __init__(self, source: Source, limits: Limits) -> None:
         """Reads the header. `open` makes one. Raises BitstreamError 101 to 305."""
-        self._source, self._bounds, self._close = source, bounds, contextlib.ExitStack()
-        self.header = Reader(source).header
+        self._source, self._limits, self._close = source, limits, contextlib.ExitStack()
+        self.header = read_header(source)
         self.byte_count = source.length()
 
     def __enter__(self) -> File:
@@ -92,7 +82,7 @@ class File:
         index = self.header.section(INDEX)
         heads = min(self.byte_count, SPAN_BYTES)
         # The index is read and parsed.
-        self._bounds.check_bytes(3 * index.length + CHUNK * self.chunk_count + 2 * heads)
+        self._limits.check_memory(3 * index.length + CHUNK * self.chunk_count + 2 * heads)
         data = FileBytes(self._source)
         return part_bytes(data, outline_of(data))
 
@@ -108,14 +98,14 @@ class File:
 
     @cached_property
     def _ancillary(self) -> list[Ancillary]:
-        found = []
+        kept = []
         shown = [s for s in self.header.sections if s.type in TYPES and s.length <= _SECTION_BYTES]
-        self._bounds.check_bytes((2 + CAMERA) * sum(section.length for section in shown))
+        self._limits.check_memory((2 + CAMERA) * sum(section.length for section in shown))
         for section in shown:
             # Decoding reports a damaged section. Here it is ignored.
             with contextlib.suppress(BitstreamError):
-                found.append(Ancillary(section.type, section.mode, read_section(self._source, section).data))
-        return found
+                kept.append(Ancillary(section.type, section.mode, read_section(self._source, section).data))
+        return kept
 
     def chunks(self, numbers: range | None = None) -> Iterator[DecodedChunk]:
         """SPEC 10.2: yields the chunks in order, decoded, in bounded memory.
@@ -128,20 +118,20 @@ class File:
 
         Raises:
             BitstreamError: the file is rejected. The chunks before are correct.
-            BoundPassedError: the file exceeds the bounds of `open`.
+            BoundPassedError: the file exceeds the limits of `open`.
             IndexError: the file lacks some of these chunks.
         """
-        return decoded_chunks(self._source, numbers, bounds=self._bounds)
+        # The iterator keeps the file open.
+        yield from decoded_chunks(self._source, numbers, limits=self._limits)
 
     def __iter__(self) -> Iterator[DecodedChunk]:
         return self.chunks()
 
     def decode(self) -> Scene:
         """Returns the scene of the whole file. Raises BitstreamError and BoundPassedError."""
-        count = self.anchor_count
         # A byte behind the end that the header states is enough for the verdict on all of them.
         size = min(self.header.sections[-1].end + 1, self.byte_count)
-        self._bounds.check(self.header, min(count, GROUP_ANCHORS), count, (1 + READING) * size)
+        self._limits.check(self.header, copies=1, size=size)
         scene = parse(self._source.read(0, size)).scene
         return Scene(scene, self.sizes)
 
@@ -156,89 +146,31 @@ class File:
             ("chunks", f"{self.chunk_count:,}"),
             *self.metadata.items(),
         ]
-        return page.table("C3GS file", facts, self.sizes)
+        return notebook.table("C3GS file", facts, self.sizes)
 
 
-def open(
-    place: Place, *, max_anchors: int | None = None, max_memory: int | None = None, max_work: int | None = None
-) -> File:
+def open(file: Place, *, limits: Limits | None = None) -> File:
     """Opens a file, and reads and checks its header.
 
     Args:
-        place: a path, a URL (which needs the extra `http` and a server that answers ranges), the bytes of a file, or a
+        file: a path, a URL (which needs the extra `http` and a server that answers ranges), the bytes of a file, or a
             file object in binary mode. A seekable one is read from its start, on request, and another one at once.
-        max_anchors: the most anchors, or None. Set bounds for files of unknown origin.
-        max_memory: the most bytes of memory for decoding, or None, which is 4 GiB for a URL.
-        max_work: the most units of work for decoding (SPEC.md 13.1), or None.
+        limits: what the file may use, or None. Set limits for files of unknown origin.
 
     Raises:
         BitstreamError: the header is rejected.
-        BoundPassedError: a pipe, which is read at once, has more bytes than allowed.
+        BoundPassedError: a pipe, which is read at once, exceeds the limits.
         OSError: the file cannot be read.
         refcodec.statuses.UsageError: the URL cannot be read.
-        TypeError: the place is none of these, or a file object in text mode.
+        TypeError: the file is none of these, or a file object in text mode.
     """
-    bounds = Bounds(max_anchors, max_memory, max_work)
-    with contextlib.ExitStack() as opened:
-        source: Source
-        stored: Readable
-        if isinstance(place, bytes | bytearray | memoryview):
-            source = WholeFile(bytes(place))
-        elif isinstance(place, str | os.PathLike) and is_url(os.fspath(place)):
-            if max_memory is None:
-                bounds = replace(bounds, memory=MEMORY_MAX)
-            source = opened.enter_context(RemoteFile(os.fspath(place)))
-        else:
-            if isinstance(place, str | os.PathLike):
-                stored = opened.enter_context(builtins.open(place, "rb"))
-                # Some devices are seekable, but have no length.
-                seekable = stat.S_ISREG(os.fstat(stored.fileno()).st_mode)
-            else:
-                stored, seekable = place, _is_seekable(place)
-            if seekable:
-                source = StoredFile(cast(SeekableFile, stored))
-            else:
-                held = stated_bytes(stored, lambda header: bounds.check_bytes(header.sections[-1].end))
-                bounds = bounds.beside(len(held))
-                source = WholeFile(held)
-        file = File(source, bounds)
-        file._close = opened.pop_all()
-    return file
+    with contextlib.ExitStack() as stack:
+        made = File(*stack.enter_context(opened_source(file, limits)))
+        made._close = stack.pop_all()
+    return made
 
 
-def _is_seekable(place: Readable) -> bool:
-    """Whether a file object can be read at any offset. Raises TypeError if it is not one in binary mode."""
-    if not hasattr(place, "read") or not isinstance(place.read(0), bytes):
-        kind = type(place).__name__
-        raise TypeError(f"a path, a URL, bytes or a file object in binary mode is required, {kind} found")
-    seekable = getattr(place, "seekable", None)
-    return bool(seekable and seekable())
-
-
-def decode(
-    place: Place, *, max_anchors: int | None = None, max_memory: int | None = None, max_work: int | None = None
-) -> Scene:
-    """Returns the scene of a file.
-
-    Args:
-        place: a path, a URL, the bytes of a file, or a file object, as for `open`.
-        max_anchors: the most anchors, or None.
-        max_memory: the most bytes of memory for decoding, or None, which is 4 GiB for a URL.
-        max_work: the most units of work for decoding (SPEC.md 13.1), or None.
-
-    Raises:
-        BitstreamError: the file is rejected. Its kind (code, clause, requirement) and offset are those of SPEC.md 10.3.
-        BoundPassedError: the file exceeds the bounds. This is not a verdict on the file.
-        OSError: the file cannot be read.
-        refcodec.statuses.UsageError: the URL cannot be read.
-    """
-    with open(place, max_anchors=max_anchors, max_memory=max_memory, max_work=max_work) as file:
-        return file.decode()
-
-
-def gaussians(
-    place: Place, *, max_anchors: int | None = None, max_memory: int | None = None, max_work: int | None = None
-) -> Splats:
+def splats(file: Place, *, limits: Limits | None = None) -> Splats:
     """SPEC 9.4: returns the Gaussians of a static scene's file, the same bits on every machine. Needs no camera.
 
     With n Gaussians, `mean` is float32 [n, 3] in world units, `scale` [n, 3] the natural logarithms of the axes'
@@ -247,17 +179,15 @@ def gaussians(
     are read-only.
 
     Args:
-        place: a path, a URL, the bytes of a file, or a file object, as for `open`.
-        max_anchors: the most anchors, or None.
-        max_memory: the most bytes of memory for decoding, or None, which is 4 GiB for a URL.
-        max_work: the most units of work for decoding (SPEC.md 13.1), or None.
+        file: a path, a URL, the bytes of a file, or a file object, as for `open`.
+        limits: what the file may use, or None.
 
     Raises:
-        ValueError: the scene is not static, so that its Gaussians depend on the view. `refcodec export` fits plain
+        ValueError: the scene is not static, so that its Gaussians depend on the view. `refcodec.api.export` fits plain
             Gaussians to its views, and `Scene.gaussians` returns those of one view.
         BitstreamError, BoundPassedError, OSError, refcodec.statuses.UsageError: as for `decode`.
     """
-    with open(place, max_anchors=max_anchors, max_memory=max_memory, max_work=max_work) as file:
+    with open(file, limits=limits) as opened:
         # Nothing is decoded for a scene of another render model.
-        check_static(file.header.render)
-        return file.decode().splats
+        check_static(opened.header.render)
+        return opened.decode().splats

@@ -1,38 +1,35 @@
 """A scene for programs and notebooks: its values, bytes and images."""
 
-# Modules that need the extra `render`, or that read and write folders, are imported where they are used.
-# ruff: noqa: PLC0415
-
 from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import fields, is_dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..bitstream.batches import no_progress
 from ..bitstream.cameras import NamedCamera, cameras
 from ..bitstream.codec import emit
-from ..bitstream.dimensions import STATIC
 from ..bitstream.metadata import metadata
 from ..bitstream.reconstruction import Reconstruction, digest, reconstruct
 from ..bitstream.scene import Scene as CodedScene
 from ..bitstream.scene import take_anchors
-from ..export import DEGREE, ITERATIONS
 from ..formats.splats import Splats
 from ..inspect.elements import outline_of
 from ..inspect.parts import part_bytes
+from ..pages import notebook
 from ..rendering.camera import Camera, check_camera, default_camera, scene_up
-from ..rendering.gaussians import Gaussians, check_render_model, gaussians_of, static_splats
-from . import page
+from ..rendering.gaussians import Gaussians, gaussians_of, static_splats
+from .command import missing
 
 if TYPE_CHECKING:
+    from _typeshed import SupportsWrite
+
     from ..rendering.view import View
 
 F32 = NDArray[np.float32]
@@ -54,7 +51,7 @@ class Scene:
 
     def __init__(self, coded: CodedScene, sizes: Mapping[str, int] | None = None) -> None:
         """coded: the integers. sizes: bytes of each part of their file, or None."""
-        self.coded = _read_only(coded)
+        self.coded = read_only(coded)
         self._sizes = None if sizes is None else dict(sizes)
 
     @classmethod
@@ -91,8 +88,8 @@ class Scene:
     @cached_property
     def values(self) -> Reconstruction:
         """SPEC 9: the float32 values of all anchors, bit-exact on every machine."""
-        found: Reconstruction = _read_only(reconstruct(self.coded))
-        return found
+        values: Reconstruction = read_only(reconstruct(self.coded))
+        return values
 
     @property
     def positions(self) -> F32:
@@ -149,94 +146,23 @@ class Scene:
         A scene without a file is encoded once for them.
         """
         if self._sizes is None:
-            self._sizes = part_sizes(encode(self))
+            data = emit(self.coded)
+            self._sizes = part_bytes(data, outline_of(data))
         return dict(self._sizes)
 
-    def save(self, file: str | os.PathLike[str] | Writable) -> None:
-        """SPEC 4.3: writes the scene as a C3GS file, the bytes that `encode` returns.
+    def save(self, file: str | os.PathLike[str] | SupportsWrite[bytes]) -> None:
+        """SPEC 4.3: writes the scene as a C3GS file, the bytes that `refcodec.encode` returns.
 
         file: a path, or a file object in binary mode. The file of a path is replaced when the new one is complete.
         Raises ValueError and TypeError as `encode`, and OSError.
         """
         from ..files.stage import write_file
 
-        data = encode(self)
+        data = emit(self.coded)
         if isinstance(file, str | os.PathLike):
             write_file(Path(file), data)
         else:
             file.write(data)
-
-    def export(
-        self,
-        *outputs: str | os.PathLike[str],
-        degree: int | None = None,
-        iterations: int | None = None,
-        cameras: Sequence[Camera] | None = None,
-        spz_bits: int | None = None,
-    ) -> Splats:
-        """Writes the scene as ordinary splats for other programs, and returns their Gaussians, as `refcodec export`.
-
-        The Gaussians of a static scene are written as they are. For other scenes, one set of Gaussians is fitted to
-        views, once for all outputs. The fit and `.sog` need the extra `render`.
-
-        Args:
-            outputs: paths, whose suffixes select the formats: .ply, .spz, .sog, .glb or .compressed.ply. They are
-                replaced together, when all are complete.
-            degree: of the harmonics, 0 to 3, or None for 3. For a fit only.
-            iterations: the least-squares steps on the images, or None for 10. For a fit only.
-            cameras: the views of the fit, or None for the cameras of the file, and views around the scene if it has
-                fewer than 8 of them. For a fit only.
-            spz_bits: the bits of the harmonics in .spz, 4 to 8, or None for 7.
-
-        Raises:
-            ValueError: an argument is not as above, no camera sees a Gaussian, a format cannot hold the scene, or its
-                render model is not known (SPEC 6.5).
-            ModuleNotFoundError: a package of the extra is missing.
-            OSError: an output cannot be written.
-        """
-        from ..files.stage import Stage
-        from ..formats.common import BITS, BITS_LEAST, BITS_MOST, Options
-        from ..formats.table import FORMATS, suffix_of, write_splats
-
-        suffixes = [suffix_of(output) or "" for output in map(Path, outputs)]
-        for output, suffix in zip(outputs, suffixes, strict=True):
-            if not suffix:
-                raise ValueError(f"{os.fspath(output)} has an unknown suffix; allowed are {', '.join(FORMATS)}")
-        spz_bits = BITS if spz_bits is None else spz_bits
-        if not BITS_LEAST <= spz_bits <= BITS_MOST:
-            raise ValueError(f"spz_bits is {spz_bits}, but must be from {BITS_LEAST} to {BITS_MOST}")
-        splats = self._fitted(degree, iterations, cameras)
-        try:
-            files = [write_splats(splats, suffix, Options(self.up, self.coded.render, spz_bits)) for suffix in suffixes]
-        except ModuleNotFoundError as error:
-            raise _with_extra(error) from None
-        with Stage() as stage:
-            for output, file in zip(outputs, files, strict=True):
-                stage.write(Path(output), file)
-        return splats
-
-    def _fitted(self, degree: int | None, iterations: int | None, cameras: Sequence[Camera] | None) -> Splats:
-        """Returns the Gaussians of `export`."""
-        check_render_model(self.coded.render)
-        if self.coded.render.render_model == STATIC:
-            if (degree, iterations, cameras) != (None, None, None):
-                raise ValueError("a static scene needs no fit: omit degree, iterations and cameras")
-            return self.splats
-        degree, iterations = DEGREE if degree is None else degree, ITERATIONS if iterations is None else iterations
-        if not (0 <= degree <= 3 and iterations >= 0):
-            raise ValueError(f"degree is {degree} and iterations {iterations}, but must be 0 to 3, and 0 or more")
-        if cameras is not None and not cameras:
-            raise ValueError("cameras is empty: give some, or None for those of the file")
-        for camera in cameras or ():
-            check_camera(camera)
-        view = self._view
-        from ..export.fit import fit
-        from ..export.views import sized, views_of
-        from ..rendering.view import stated_cameras
-
-        fitting = views_of(view, stated_cameras(self.coded)).fit if cameras is None else [*map(sized, cameras)]
-        found: Splats = _read_only(fit(view, fitting, degree, iterations, no_progress).splats)
-        return found
 
     def digest(self) -> str:
         """SPEC 9.3: returns the SHA-256 of the canonical reconstruction, in hexadecimal.
@@ -258,12 +184,12 @@ class Scene:
 
     @cached_property
     def splats(self) -> Splats:
-        """SPEC 9.4: the plain Gaussians of a static scene, bit-exact on every machine. See `refcodec.gaussians`.
+        """SPEC 9.4: the plain Gaussians of a static scene, bit-exact on every machine. See `refcodec.splats`.
 
         Raises ValueError for a scene that is not static.
         """
-        found: Splats = _read_only(static_splats(self.coded, self.values))
-        return found
+        splats: Splats = read_only(static_splats(self.coded, self.values))
+        return splats
 
     def render(self, camera: Camera | None = None) -> NDArray[np.uint8]:
         """SPEC chapter 14: returns the image of a camera, uint8 [height, width, 3]: red, green and blue.
@@ -292,7 +218,7 @@ class Scene:
         try:
             from ..rendering.view import View
         except ModuleNotFoundError as error:
-            raise _with_extra(error) from None
+            raise missing("drawing", {"": "render"}, error) from None
         return View(self.coded)
 
     def __repr__(self) -> str:
@@ -307,9 +233,9 @@ class Scene:
             ("features", f"{self.coded.dimensions.features}"),
             *self.metadata.items(),
         ]
-        return page.table("C3GS scene", facts, self._sizes, self._picture())
+        return notebook.table("C3GS scene", facts, self._sizes, self._picture())
 
-    def _picture(self) -> bytes | page.Points | None:
+    def _picture(self) -> bytes | notebook.Points | None:
         """Returns an image of the scene as PNG, or some of its points if it cannot be drawn."""
         if self.anchor_count <= DRAWN_ANCHORS:
             # The extra `render` is missing, or the scene cannot be drawn.
@@ -318,37 +244,29 @@ class Scene:
 
                 camera = next(iter(self.cameras or self.orbit(1)))
                 return png(self.render(_small(camera)))
-        found = self._some_gaussians()
-        return page.points(found.mean, found.colour, self.coded.render.up_axis)
+        some = self._some_gaussians()
+        return notebook.points(some.mean, some.colour, self.coded.render.up_axis)
 
     def _some_gaussians(self) -> Gaussians:
-        """Returns at most page.POINTS Gaussians, from anchors across the scene."""
-        step = max(1, -(-self.anchor_count // page.POINTS))
-        found = Scene(take_anchors(self.coded, slice(None, None, step))).gaussians(self.camera)
-        some = slice(None, None, max(1, -(-len(found.mean) // page.POINTS)))
-        return Gaussians(**{name: values[some] for name, values in vars(found).items()})
+        """Returns at most notebook.POINTS Gaussians, from anchors across the scene."""
+        step = max(1, -(-self.anchor_count // notebook.POINTS))
+        seen = Scene(take_anchors(self.coded, slice(None, None, step))).gaussians(self.camera)
+        some = slice(None, None, max(1, -(-len(seen.mean) // notebook.POINTS)))
+        return Gaussians(**{name: values[some] for name, values in vars(seen).items()})
 
 
-class Writable(Protocol):
-    """A file object that is open for writing in binary mode."""
-
-    def write(self, data: bytes, /) -> object:
-        """Writes bytes."""
-        ...
-
-
-def _read_only(value: Any) -> Any:
+def read_only(value: Any) -> Any:
     """Returns a dataclass, dictionary, list or tuple with read-only views of its arrays. Other values are unchanged."""
     if isinstance(value, np.ndarray):
         view = value.view()
         view.flags.writeable = False
         return view
     if is_dataclass(value) and not isinstance(value, type):
-        return replace(value, **{field.name: _read_only(getattr(value, field.name)) for field in fields(value)})
+        return replace(value, **{field.name: read_only(getattr(value, field.name)) for field in fields(value)})
     if isinstance(value, dict):
-        return {key: _read_only(item) for key, item in value.items()}
+        return {key: read_only(item) for key, item in value.items()}
     if type(value) in (list, tuple):
-        return type(value)(map(_read_only, value))
+        return type(value)(map(read_only, value))
     return value
 
 
@@ -357,37 +275,9 @@ def named_cameras(stated: list[NamedCamera]) -> list[Camera]:
     return [replace(default_camera(camera), name=camera.name) for camera in stated]
 
 
-def part_sizes(data: bytes) -> dict[str, int]:
-    """Returns the bytes of each part of a file. Their sum is its length."""
-    return part_bytes(data, outline_of(data))
-
-
-def encode(scene: Scene) -> bytes:
-    """SPEC 4.3: returns the bytes of a scene's file.
-
-    The file of a scene is unique: a scene from `decode` gives the same bytes.
-
-    Raises:
-        ValueError: the scene violates a rule of SPEC.md. The text is the error of a decoder, or names the field
-            and its limits.
-        TypeError: not a Scene, or a field of `scene.coded` has a wrong type.
-    """
-    if not isinstance(scene, Scene):
-        raise TypeError(f"encode takes a refcodec.Scene, {type(scene).__name__} found; Scene(coded) makes one")
-    return emit(scene.coded)
-
-
-def render(scene: Scene, camera: Camera | None = None) -> NDArray[np.uint8]:
-    """SPEC chapter 14: returns the image of a camera, uint8 [height, width, 3]. See `Scene.render`."""
-    return scene.render(camera)
-
-
 def _small(camera: Camera) -> Camera:
-    """Returns the camera with its image scaled to a longest side of page.SIDE."""
+    """Returns the camera with its image scaled to a longest side of notebook.SIDE."""
     longer = max(camera.width, camera.height)
-    return camera.resized(max(camera.width * page.SIDE // longer, 1), max(camera.height * page.SIDE // longer, 1))
-
-
-def _with_extra(error: ModuleNotFoundError) -> ModuleNotFoundError:
-    """Returns an error for a missing package with the command that installs it."""
-    return ModuleNotFoundError(f"{error}: pip install 'refcodec[render]'", name=error.name)
+    return camera.resized(
+        max(camera.width * notebook.SIDE // longer, 1), max(camera.height * notebook.SIDE // longer, 1)
+    )

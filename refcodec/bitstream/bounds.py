@@ -1,9 +1,16 @@
-"""Clause 13.1: the caller's bounds on anchors, work and memory. Exceeding one is not a verdict on a file."""
+"""Clause 13.1: the caller's limits on anchors, work and memory. Exceeding one is not a verdict on a file.
+
+`Limits` is the only place that counts memory. An operation states how many copies of a scene it holds, and which
+packages it loads.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from numbers import Integral
 
+from ..statuses import UsageError
+from .batches import GROUP_ANCHORS
 from .cameras import CAMERAS
 from .dimensions import STATIC, weight_count, work
 from .directory import DATA, is_critical
@@ -18,61 +25,111 @@ WEIGHT, PLANE_POINT, DECODING, HOLDING = 32, 8, 56, 8
 CHUNK, HELD_CHUNK = 192, 2048
 # The number of copies of section bytes, chunk bytes and camera bytes during decoding.
 READING, CAMERA = 5, 16
+# The bytes of the program with the packages of decoding, and those that the packages of drawing, and torch, add.
+PROGRAM, DRAWING, TORCH = 64 << 20, 128 << 20, 256 << 20
+# The memory for a file behind a URL, if the caller does not limit it.
+URL_MEMORY = 4 << 30
 
 
-class BoundPassedError(Exception):
+class BoundPassedError(UsageError):
     """A file needs more than its caller allows. This is not a verdict on the conformance of the file.
 
     bound: "anchors", "work" or "memory". needed, allowed: anchors, units of all_work, or bytes.
     """
 
+    about_input = True
+
     bound: str
     needed: int
     allowed: int
 
-    def __init__(self, bound: str, needed: int, allowed: int) -> None:
+    def __init__(self, bound: str, needed: int, allowed: int, default: bool = False) -> None:
+        """default: whether the caller did not choose the limit."""
         self.bound, self.needed, self.allowed = bound, needed, allowed
         what = {
-            "anchors": "anchors are in the file",
-            "work": "units of work may be needed",
-            "memory": "bytes of memory may be needed",
-        }
-        super().__init__(
-            f"{needed} {what[bound]}, but the caller's bound is {allowed}; this is not a verdict on the file"
-        )
+            "anchors": f"has {needed} anchors",
+            "work": f"may take {needed} units of work",
+            "memory": f"may take {needed} bytes of memory",
+        }[bound]
+        origin = " by default for a URL" if default else ""
+        super().__init__(f"it {what}, but --max-{bound} allows {allowed}{origin}; this is not a verdict on the file")
 
 
 @dataclass(frozen=True)
-class Bounds:
-    """What a caller allows. None allows everything.
+class Limits:
+    """What a caller allows for a file: in a command --max-anchors, --max-work and --max-memory. None allows everything.
 
-    anchors: N, the anchors of the file. memory: bytes that decoding needs in addition to the program. work: units of
-    all_work.
+    anchors: N, the anchors of the file. work: units of SPEC 13.1. memory: the bytes that the process takes, which is
+    4 GiB for a URL if it is None. program: the bytes of them that the program itself takes. They are an estimate, and 0
+    leaves the program out of account. Raises UsageError for anything but integers of at least 0.
     """
 
     anchors: int | None = None
-    memory: int | None = None
     work: int | None = None
+    memory: int | None = None
+    program: int = PROGRAM
 
-    def check(self, header: Header, at_once: int, held: int = 0, more: int = 0) -> None:
-        """Raises BoundPassedError for anchors, work or memory that exceed a bound by the header.
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            right = isinstance(value, Integral) and not isinstance(value, bool) and int(value) >= 0
+            if not (right or (value is None and name != "program")):
+                raise UsageError(f"limits.{name} must be an integer of at least 0, not {value!r}")
 
-        at_once, held, more: as for memory_needed.
+    def of_url(self) -> Limits:
+        """Returns the limits for a file behind a URL."""
+        return self if self.memory is not None else _OfURL(self.anchors, self.work, URL_MEMORY, self.program)
+
+    def beside(self, held: int) -> Limits:
+        """Returns the limits that remain while the program takes some more bytes, such as those of more packages."""
+        return replace(self, program=self.program + held)
+
+    def check(
+        self,
+        header: Header,
+        at_once: int = GROUP_ANCHORS,
+        *,
+        copies: int = 0,
+        size: int | None = None,
+        keep_ancillary: bool = True,
+    ) -> None:
+        """Raises BoundPassedError for anchors, work or memory that exceed a limit by the header.
+
+        Args:
+            header: of the file.
+            at_once: the anchors that are decoded at the same time.
+            copies: of the scene that are held while the file is. 0 for an operation that holds some chunks at a time.
+            size: the bytes of the file, if it is held. None for those that the header states, if copies are held.
+            keep_ancillary: whether ancillary sections are kept.
         """
-        if self.anchors is not None and header.anchor_count > self.anchors:
-            raise BoundPassedError("anchors", header.anchor_count, self.anchors)
-        if self.work is not None and all_work(header) > self.work:
-            raise BoundPassedError("work", all_work(header), self.work)
-        self.check_bytes(memory_needed(header, at_once, held, more))
+        count = header.anchor_count
+        for bound, needed, allowed in (("anchors", count, self.anchors), ("work", all_work(header), self.work)):
+            if allowed is not None and needed > allowed:
+                raise BoundPassedError(bound, needed, allowed)
+        if copies:
+            # Any part of the file may be decoded at once.
+            more = (1 + READING) * (header.sections[-1].end if size is None else size)
+        else:
+            more = section_bytes(header, keep_ancillary) + (size or 0)
+        self.check_memory(memory_needed(header, min(count, at_once), copies * count, more))
 
-    def beside(self, held: int) -> Bounds:
-        """Returns the bounds that remain while some bytes are held."""
-        return self if self.memory is None else replace(self, memory=self.memory - held)
+    def check_memory(self, needed: int) -> None:
+        """Raises BoundPassedError if more bytes of memory are needed, in addition to the program, than allowed."""
+        if self.memory is not None and needed + self.program > self.memory:
+            raise BoundPassedError("memory", needed + self.program, self.memory, isinstance(self, _OfURL))
 
-    def check_bytes(self, needed: int) -> None:
-        """Raises BoundPassedError if more bytes of memory are needed than allowed."""
-        if self.memory is not None and needed > self.memory:
-            raise BoundPassedError("memory", needed, self.memory)
+    def check_cloud(self, count: int, properties: int, size: int, copies: int) -> None:
+        """Raises BoundPassedError for the point cloud of a scene folder that exceeds a limit by its header.
+
+        count: of its anchors. properties: of each. size: its bytes. copies: of the scene that are held.
+        """
+        if self.anchors is not None and count > self.anchors:
+            raise BoundPassedError("anchors", count, self.anchors)
+        values = min(count, GROUP_ANCHORS) * DECODING + copies * count * HOLDING
+        self.check_memory(properties * values + 2 * size)
+
+
+class _OfURL(Limits):
+    """Limits whose memory is the default for a URL."""
 
 
 def all_work(header: Header) -> int:

@@ -18,7 +18,7 @@ from ..native.library import REFUSED_FORM, REFUSED_STEPS, kernel
 from ..native.scene import Anchors, NativeScene
 from .attributes import ATTRIBUTE_SYMBOL_MAX, Attributes, EntropyModel, code_attributes, step_indices
 from .batches import GROUP_ANCHORS, Progress, groups, no_progress, one_thread
-from .bounds import READING, Bounds
+from .bounds import Limits
 from .chunks import chunk_ranges, emit_chunk
 from .context import context
 from .dimensions import STATIC
@@ -86,19 +86,17 @@ def parse(
     keep_going: bool = False,
     progress: Progress = no_progress,
     trace: Trace | None = None,
-    bounds: Bounds | None = None,
+    limits: Limits | None = None,
 ) -> Parsed:
     """SPEC 7.1, 10.1, 15.4 and Annex H: decodes a file. Raises BitstreamError and nothing else, whatever the bytes are.
 
     keep_going: drops each chunk with an error and lists it in damage, and continues after an error that follows the
-    chunks. progress: called as work is done. trace: called for each symbol. bounds: the caller's limits; if the file
+    chunks. progress: called as work is done. trace: called for each symbol. limits: the caller's; if the file
     needs more, BoundPassedError is raised after the header checks and before any work.
     """
     reader = Reader(WholeFile(bytes(data)), trace=trace)
-    if bounds:
-        count = reader.header.anchor_count
-        # All bytes are in memory, so chunks can be decoded in parallel.
-        bounds.check(reader.header, min(count, GROUP_ANCHORS), count, (1 + READING) * len(data))
+    if limits:
+        limits.check(reader.header, copies=1, size=len(data))
     opened = reader.open(progress=progress)
     index = opened.index
     opened.hold_whole(ROOM_OF_A_BYTE * len(data))

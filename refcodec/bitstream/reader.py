@@ -18,7 +18,7 @@ from ..native.library import Verdict, kernel
 from ..native.scene import Anchors, NativeScene
 from .attributes import Attributes, EntropyModel, code_attributes, join_attributes
 from .batches import GROUP_ANCHORS, GROUP_CHUNKS, PartDecoder, Progress, no_progress, one_thread
-from .bounds import READING, Bounds, section_bytes
+from .bounds import READING, Limits, memory_needed
 from .chunks import PARTS, CodedChunk, read_chunk
 from .context import JoinedPlanes, context
 from .dimensions import STATIC
@@ -73,7 +73,7 @@ class Reader:
         *,
         keep_ancillary: bool = True,
         trace: Trace | None = None,
-        bounds: Bounds | None = None,
+        limits: Limits | None = None,
         at_once: int = 0,
     ) -> None:
         """SPEC 10.1, PROLOGUE to DIRECTORY.
@@ -81,7 +81,7 @@ class Reader:
         Raises BitstreamError 101 to 305, BoundPassedError after them, and UsageError.
 
         keep_ancillary: whether ancillary sections are kept. Otherwise they are only checked. trace: called for each
-        symbol, chunk by chunk. bounds: the caller's limits for a reader that holds some chunks at a time;
+        symbol, chunk by chunk. limits: the caller's, for a reader that holds some chunks at a time;
         BoundPassedError is raised before the bytes are read. at_once: the number of anchors decoded in parallel, if it
         is more than a chunk.
         """
@@ -89,10 +89,9 @@ class Reader:
         # The kernel does not report symbols to a trace.
         self._kernel = kernel() if trace is None else None
         self.header: Header = read_header(source)
-        self._bounds = bounds
-        if bounds:
-            h = self.header
-            bounds.check(h, min(h.anchor_count, max(h.chunk_size, at_once)), more=section_bytes(h, keep_ancillary))
+        self._limits = limits
+        if limits:
+            limits.check(self.header, max(self.header.chunk_size, at_once), keep_ancillary=keep_ancillary)
         self.ancillary: list[Ancillary] = []
         # The number of critical sections read.
         self._before = 0
@@ -159,11 +158,11 @@ class Reader:
 
     def check_chunks(self, entries: list[ChunkEntry]) -> None:
         """Raises BoundPassedError, before any chunk is read, for chunks that exceed the caller's limits."""
-        if self._bounds is None:
+        if self._limits is None:
             return
         anchors, length = (sum(sizes) for sizes in zip(*((len(e.anchors), e.length) for e in entries), strict=True))
         kept = sum(len(section.content) for section in self.ancillary)
-        self._bounds.check(self.header, anchors, more=kept + READING * length)
+        self._limits.check_memory(memory_needed(self.header, anchors, more=kept + READING * length))
 
     def close(self) -> None:
         """SPEC 10.1, CHUNKS to END: checks DATA's crc, the sections after it, and the end of the file.
@@ -445,13 +444,13 @@ def _kept_error(chunk: CodedChunk, kept: int) -> BitstreamError | None:
     return None if kept == e.kept else BitstreamError("chunk.kept", e.start, e.path, f"{kept} kept offsets", e.kept)
 
 
-def decode_chunk(source: Source, number: int, *, bounds: Bounds | None = None) -> Scene:
+def decode_chunk(source: Source, number: int, *, limits: Limits | None = None) -> Scene:
     """SPEC 10.2: decodes one chunk from the fewest bytes: header, FRAM, WGTS, PLNS, INDX and the range of the chunk.
 
     Returns the scene with the anchors of that chunk. Raises BitstreamError for the first error in the checks for one
     chunk, BoundPassedError, and IndexError if the file has no such chunk.
     """
-    opened = Reader(source, keep_ancillary=False, bounds=bounds).open(critical_only=True)
+    opened = Reader(source, keep_ancillary=False, limits=limits).open(critical_only=True)
     index = opened.index
     if not 0 <= number < len(index):
         raise IndexError(f"there is no chunk {number}: the file has {len(index)}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Protocol
@@ -69,6 +70,11 @@ class SeekableFile(Readable, Protocol):
     def seek(self, offset: int, whence: int = 0, /) -> int:
         """Moves to an offset from the start, or from the end if `whence` is 2. Returns the position."""
         ...
+
+
+StrPath = str | os.PathLike[str]
+# What names or holds a file: a path, a URL, its bytes, or a file object.
+Place = StrPath | bytes | bytearray | memoryview | Readable
 
 
 class WholeFile:

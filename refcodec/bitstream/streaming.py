@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 from .batches import GROUP_ANCHORS, Progress, no_progress
-from .bounds import Bounds
+from .bounds import Limits
 from .errors import BitstreamError
 from .header import Header, read_header
 from .reader import Chunk, Opened, Reader
@@ -38,7 +38,7 @@ class DecodedChunk:
 
 
 def decoded_chunks(
-    source: Source, numbers: range | None = None, *, side_by_side: bool = True, bounds: Bounds | None = None
+    source: Source, numbers: range | None = None, *, side_by_side: bool = True, limits: Limits | None = None
 ) -> Iterator[DecodedChunk]:
     """SPEC 10.2: yields the chunks of a file in order, decoded.
 
@@ -50,14 +50,14 @@ def decoded_chunks(
         numbers: of the wanted chunks, ascending.
         side_by_side: whether many chunks are read and decoded at once, which is faster. Otherwise a chunk is yielded
             before the next one is read.
-        bounds: the caller's limits.
+        limits: the caller's.
 
     Raises:
         BitstreamError: the first error; the chunks yielded before it are valid.
         BoundPassedError: before the bytes that exceed the limits are read.
         IndexError: the file lacks one of these chunks.
     """
-    reader = Reader(source, keep_ancillary=False, bounds=bounds, at_once=GROUP_ANCHORS if side_by_side else 0)
+    reader = Reader(source, keep_ancillary=False, limits=limits, at_once=GROUP_ANCHORS if side_by_side else 0)
     opened = reader.open(critical_only=numbers is not None)
     check_numbers(numbers, len(opened.index))
     for entries in opened.groups(numbers, side_by_side=side_by_side):

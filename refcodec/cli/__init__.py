@@ -1,1 +1,1 @@
-"""The command line."""
+"""The command line: it parses words, calls a function of `refcodec.api` and prints the result."""

@@ -2,10 +2,30 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from ..photographs.photographs import TEST_EVERY, PhotographSet, parse_background, parse_size, read_photographs
+
+# Words of `train` that state how photographs are read, and where a training begins, in the order of the arguments.
+WORDS = ("static", "background", "holdout", "anchors", "voxel", "degree", "set", "up")
+
+
+def options_of(words: Mapping[str, Any]) -> tuple[str, ...]:
+    """Returns WORDS as arguments of `train`."""
+    made: list[str] = []
+    for name in WORDS:
+        value = words.get(name)
+        if name == "up" and value:
+            # As an argument by itself, -y would be an option.
+            made.append(f"--{name}={value}")
+        elif name == "static":
+            made += [f"--{name}"] if value else []
+        elif value is not None:
+            made += [word for one in (value if name == "set" else [value]) for word in (f"--{name}", str(one))]
+    return tuple(made)
 
 
 @dataclass(frozen=True)

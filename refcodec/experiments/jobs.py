@@ -52,6 +52,8 @@ Wanted = Callable[[], int]
 class RunError(UsageError):
     """A command that failed, with its exit status, or a folder that cannot be used (64)."""
 
+    several_lines = True
+
     def __init__(self, text: str, status: int = USAGE) -> None:
         self.status = status
         super().__init__(text)

@@ -24,8 +24,6 @@ HEAD_BYTES = 1 << 16
 # The longest silence of a server, in seconds; the seconds that all its answers may take beside the time of their bytes;
 # and the minimum bytes a second.
 TIMEOUT, TOTAL_TIMEOUT, BYTES_A_SECOND = 30.0, 300.0, 1 << 14
-# The default memory limit for a file behind a URL, in bytes.
-MEMORY_MAX = 4 << 30
 _RANGE = "Content-Range"
 # RFC 9110, 8.8: headers that change with the file.
 _VALIDATORS = ("ETag", "Last-Modified")

@@ -29,6 +29,11 @@ def printable(text: str, most: int | None = None, lines: bool = False) -> str:
     return f"{shown[:most]}... ({len(text)} characters)"
 
 
+def counted(count: int, what: str) -> str:
+    """Returns a number with a noun, such as 1 anchor and 2 anchors."""
+    return f"{count:,} {what}{'' if count == 1 else 's'}"
+
+
 def shell_word(text: str) -> str:
     """Returns a text as a printable word of a shell command line. Other text is quoted as in bash, zsh and ksh."""
     if printable(text) == text:

@@ -1,1 +1,1 @@
-"""The scene folder: a scene as files that other programs can read."""
+"""Scenes as files: the scene folder, which other programs can read, and what commands read and write."""

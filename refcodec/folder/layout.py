@@ -27,6 +27,8 @@ import numpy as np
 from ..files.lock import is_empty
 from ..files.present import NotAFileError, is_there
 from ..files.stage import INCOMING, exchange
+from ..files.text import shell_word
+from ..statuses import UsageError
 
 SCENE_FILE = "scene.json"
 PLY_FILE = "point_cloud.ply"
@@ -44,7 +46,7 @@ UNCOMPRESSED = "Scaffold-GS, uncompressed"
 MASK_LOGIT_MIN = float(np.log(0.01 / 0.99))
 
 
-class SceneFolderError(ValueError):
+class SceneFolderError(UsageError):
     """A scene folder, or a file in it, that cannot be used. file: its path. problem: the fault. advice: the remedy."""
 
     file: str
@@ -86,6 +88,15 @@ def is_free(path: Path, uncompressed: bool = False) -> bool:
         return (path / INCOMING).is_dir() or is_empty(path)
     except NotAFileError:
         return False
+
+
+def check_scene_folder(path: Path) -> None:
+    """Raises UsageError for the folder of a Scaffold-GS model in place of a scene folder."""
+    if (path / "point_cloud").is_dir() and not (path / SCENE_FILE).exists():
+        raise UsageError(
+            f"{path} is a model of another program, not a scene folder: convert it first with "
+            f"refcodec convert {shell_word(str(path))} -o SCENE_DIR"
+        )
 
 
 def scene_files(path: Path) -> list[Path]:

@@ -22,6 +22,7 @@ from ..bitstream.reconstruction import StreamDigest, chunk_digest, reconstruct
 from ..bitstream.scene import Scene, take_anchors
 from ..bitstream.streaming import pieces
 from ..files.stage import new_file
+from ..files.text import counted
 from .arrays import RowsFile, write_arrays, write_networks
 from .layout import (
     CODED_FILE,
@@ -55,6 +56,16 @@ class Written:
     lost: dict[int, int]
     error: BitstreamError | None
     digests: list[str]
+
+    def losses(self, chunks: int) -> Iterator[str]:
+        """Yields a line for each dropped chunk, and a sum. chunks: those of the file."""
+        for number, error in sorted(self.damage.items()):
+            yield f"chunk {number} with {counted(self.lost[number], 'anchor')} is dropped: {error}"
+        if self.damage:
+            lost = counted(sum(self.lost.values()), "anchor")
+            yield f"{len(self.damage)} of {chunks} chunks and {lost} are lost, and {self.anchors:,} are written"
+        elif self.error:
+            yield "no chunk is damaged, but another part of the file is"
 
 
 def write_folder(scene: Scene, path: str | Path) -> None:

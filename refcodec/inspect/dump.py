@@ -5,9 +5,11 @@ from __future__ import annotations
 import shlex
 from collections import deque
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 
 import numpy as np
 
+from ..bitstream.codec import parse
 from ..bitstream.errors import BitstreamError
 from ..bitstream.syntax import Element
 from .elements import Bytes, outline_of, rows
@@ -43,6 +45,17 @@ def hex_text(data: Bytes, row: Element) -> str:
 
 def _error_line(error: BitstreamError) -> str:
     return f"{error.offset:08x}  ^^ error {error.kind.code} {error.kind.name}: {error}"
+
+
+def spots(data: bytes, error: BitstreamError) -> list[BitstreamError]:
+    """Returns the error of a file, and those of the single chunks.
+
+    The error of a file may be the CRC-32 of a section, which does not locate the damage.
+    """
+    with suppress(BitstreamError):
+        damage = parse(data, keep_going=True).damage.values()
+        return [error, *(each for each in damage if each.to_json() != error.to_json())]
+    return [error]
 
 
 def _rows_near(data: bytes, near: int | None) -> Iterator[Element]:

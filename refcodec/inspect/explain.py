@@ -51,6 +51,11 @@ def reasons() -> dict[str, Reason]:
     return msgspec.toml.decode(find("data/explanations.toml").read_bytes(), type=dict[str, Reason])
 
 
+def likely_cause(name: str) -> str:
+    """Returns the first sentence of the causes of an error. name: of the error."""
+    return reasons()[name].how.partition(". ")[0].rstrip(".") + "."
+
+
 @cache
 def _source(path: str) -> list[str]:
     try:

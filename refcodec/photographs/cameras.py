@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from ..bitstream.cameras import rotation_matrix
 from ..files.present import NotAFileError, is_there
 from ..rendering.camera import Camera
+from ..statuses import UsageError
 
 F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]
@@ -31,7 +32,7 @@ ROTATION_TOLERANCE = 1e-3
 ESTIMATE = "estimate the poses again, or remove this image"
 
 
-class PhotographError(ValueError):
+class PhotographError(UsageError):
     """Photographs that cannot be used. The message has the place, the fault with what is allowed, and the remedy."""
 
     where: str

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,8 @@ from numpy.typing import NDArray
 from ..encoder.positions import choose_grid
 from ..encoder.sizes import choose_slices
 from ..photographs.photographs import PhotographSet
-from .fit_input import Given
+from ..statuses import UsageError
+from .fit_input import Given, read_given
 from .settings import PHASES, Phase, TrainSettings
 from .settings_file import varied
 from .start import LATTICE_MAX, Units, lattice_positions, scene_length
@@ -37,6 +39,18 @@ NEAR = 0.01
 
 class BeginningError(ValueError):
     """A scene from which training cannot continue, regardless of the photographs."""
+
+
+def read_beginning(folder: Path) -> Given:
+    """Returns the scene to continue from. Raises UsageError if it is not a scene folder."""
+    if not folder.is_dir():
+        raise UsageError(f"{folder} is not a scene folder: training can continue only from one")
+    try:
+        return read_given(folder)
+    except UsageError:
+        raise
+    except ValueError as error:
+        raise UsageError(f"cannot continue training from {folder}: {error}") from None
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import textwrap
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import Field, fields, is_dataclass, replace
@@ -17,12 +18,13 @@ from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_t
 from msgspec import Meta, to_builtins
 
 from ..files.documents import TOML_MAX, DocumentError, FieldError, checked, parse_toml
-from .settings import Phase, TrainSettings
+from ..statuses import UsageError
+from .settings import PRESETS, STATIC_CHANGES, Phase, TrainSettings
 
 T = TypeVar("T")
 
 
-class SettingsError(ValueError):
+class SettingsError(UsageError):
     """A setting that does not exist, or a value that it cannot have."""
 
 
@@ -150,6 +152,29 @@ def varied(base: T, changes: Mapping[str, Any]) -> T:
             inner = inner[key]
         inner[last] = value
     return merged(base, nested)
+
+
+def chosen_settings(
+    words: Mapping[str, Any], file: str | os.PathLike[str] | None = None, **others: Any
+) -> TrainSettings:
+    """The settings of a preset, changed by others, by a file, by `static` and `set`, and then by single words.
+
+    words: those of `train`; None stands for one that is not given. Raises SettingsError, and OSError for the file.
+    """
+    anchors = words.get("anchors")
+    if anchors and words.get("voxel"):
+        raise SettingsError("--voxel is not allowed with --anchors")
+    base = varied(PRESETS[words.get("preset") or "fast"], others)
+    base = base if file is None else from_toml(Path(file), base)
+    base = assigned(varied(base, STATIC_CHANGES) if words.get("static") else base, words.get("set") or ())
+    given = {name: words.get(name) for name in ("steps", "size", "seed", "background", "holdout", "degree")}
+    # With a number of anchors, the voxel size follows from it.
+    given |= {"start.anchors": anchors, "start.voxel": 0.0 if anchors else words.get("voxel")}
+    given["rate.lambda_r"] = words.get("lambda_r")
+    chosen = varied(base, {name: value for name, value in given.items() if value is not None})
+    if words.get("degree") is not None and not chosen.static:
+        raise SettingsError("--degree is that of a static scene: add --static")
+    return chosen
 
 
 def merged(base: T, changes: Mapping[str, Any], prefix: str = "") -> T:

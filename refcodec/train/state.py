@@ -29,6 +29,7 @@ from ..files.interrupts import on_interrupt
 from ..files.present import NotAFileError, is_there
 from ..files.terminal import note
 from ..files.text import printable
+from ..statuses import UsageError
 from .settings_file import differences
 
 # Types of values.
@@ -40,7 +41,7 @@ FORMAT, VERSION = "C3GS training state", "4"
 _SHOWN = 60
 
 
-class StateError(ValueError):
+class StateError(UsageError):
     """A saved state that cannot be used. The text is one line, with a remedy."""
 
 

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import os
 import sys
+import threading
+import webbrowser
 from collections.abc import Callable
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any, BinaryIO
+
+from ..files.terminal import say
+from ..statuses import UsageError
 
 ADDRESS = "127.0.0.1"
 # The path of the file.
@@ -95,3 +101,25 @@ class _Handler(BaseHTTPRequestHandler):
 
     def log_message(self, format: str, *args: object) -> None:
         """Does not log requests."""
+
+
+def serve(page: bytes, file: Callable[[], BinaryIO], shown: str, port: int = 0, browser: bool = True) -> None:
+    """Serves a page and a file until Ctrl-C, and prints the address.
+
+    page, file, port: as for Server. shown: the name of the file. browser: whether a browser is opened. Raises
+    UsageError if the port cannot be used.
+    """
+    try:
+        server = Server(page, file, port)
+    except OSError as error:
+        problem = f"port {port} cannot be used: {error.strerror or error}"
+        raise UsageError(f"{problem}; choose another one, or omit --port") from None
+    with server:
+        say(f"{server.url} shows {shown}. Ctrl-C ends it.")
+        sys.stdout.flush()
+        if browser:
+            # A text browser requests the page before the call returns.
+            threading.Thread(target=webbrowser.open, args=(server.url,), daemon=True).start()
+        # Ctrl-C is the regular end.
+        with contextlib.suppress(KeyboardInterrupt):
+            server.serve_forever()

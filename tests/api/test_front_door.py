@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ast
 import io
-import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -17,7 +16,7 @@ import numpy as np
 import pytest
 
 import refcodec
-from refcodec.api import page
+from refcodec import api
 from refcodec.bitstream.cameras import CAMERAS
 from refcodec.bitstream.codec import parse
 from refcodec.bitstream.directory import DATA
@@ -30,6 +29,7 @@ from refcodec.cli.main import main
 from refcodec.files.remote import RemoteFile
 from refcodec.folder.layout import SceneFolderError
 from refcodec.native.library import paths
+from refcodec.pages import notebook
 from refcodec.statuses import UsageError
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -138,7 +138,7 @@ def test_decoding_loads_no_heavy_package() -> None:
 import sys, refcodec
 scene = refcodec.decode({str(TRAINED)!r})
 refcodec.encode(scene), scene.positions, scene.sizes, scene.camera
-refcodec.gaussians({str(TRAINED.with_name("static-degree-2.c3gs"))!r})
+refcodec.splats({str(TRAINED.with_name("static-degree-2.c3gs"))!r})
 print(sorted({{'torch', 'numba', 'PIL', 'scipy', 'safetensors', 'fsspec', 'jinja2'}} & set(sys.modules)))
 """
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
@@ -146,10 +146,11 @@ print(sorted({{'torch', 'numba', 'PIL', 'scipy', 'safetensors', 'fsspec', 'jinja
 
 
 def test_type_checkers_read_the_same_names() -> None:
-    """The stub, the list in the module, and the room have one set of names."""
+    """The stub and the list in the module have one set of names, which are names of the front door."""
     stub = ast.parse((ROOT / "refcodec" / "__init__.pyi").read_text(encoding="utf-8"))
     stated = {alias.asname for node in stub.body if isinstance(node, ast.ImportFrom) for alias in node.names}
-    assert stated == set(refcodec.__all__) - {"__version__"} == set(refcodec.api.__all__)  # type: ignore[attr-defined]
+    assert stated == set(refcodec.__all__) - {"__version__"}
+    assert stated - {"api"} <= set(api.__all__) <= set(dir(api))
     assert set(refcodec.__all__) <= set(dir(refcodec))
     with pytest.raises(AttributeError, match="no attribute 'encoder_of_dreams'"):
         refcodec.encoder_of_dreams  # type: ignore[attr-defined] # noqa: B018
@@ -157,8 +158,8 @@ def test_type_checkers_read_the_same_names() -> None:
 
 def test_every_name_says_what_it_is() -> None:
     """Public classes, their members and functions have docstrings."""
-    for name in refcodec.api.__all__:  # type: ignore[attr-defined]
-        thing = getattr(refcodec, name)
+    for name in api.__all__:
+        thing = getattr(api, name)
         members = {
             k: v for k, v in vars(thing).items() if not k.startswith("_") and (callable(v) or hasattr(v, "fget"))
         }
@@ -215,7 +216,7 @@ def test_file_objects(tmp_path: Path) -> None:
     assert caught.value.kind.code == 321
     assert endless._file.tell() == len(data) + 1
     with pytest.raises(refcodec.BoundPassedError):
-        refcodec.decode(_Stream(data), max_memory=1000)
+        refcodec.decode(_Stream(data), limits=refcodec.Limits(memory=1000))
     for wrong in (io.StringIO("text"), None, 7):
         with pytest.raises(TypeError, match="in binary mode is required"):
             refcodec.open(wrong)  # type: ignore[arg-type]
@@ -237,18 +238,19 @@ def test_export_of_a_static_scene(tmp_path: Path, capsys: pytest.CaptureFixture[
     static = TRAINED.with_name("static-degree-2.c3gs")
     outputs = [tmp_path / f"a.{suffix}" for suffix in ("ply", "spz", "glb")]
     scene = refcodec.decode(static)
-    assert scene.export(*outputs) is scene.splats
+    written = api.export(scene, outputs).values["splats"]
+    assert all(np.array_equal(values, getattr(scene.splats, name)) for name, values in vars(written).items())
     assert main(["export", str(static), *(f"-o{path.with_stem('b')}" for path in outputs)]) == 0
     for path in outputs:
         assert path.read_bytes() == path.with_stem("b").read_bytes()
-    scene.export(outputs[1], spz_bits=4)
+    api.export(static, outputs[1], spz_bits=4)
     assert outputs[1].stat().st_size < (tmp_path / "b.spz").stat().st_size
     for wrong, said in (({"degree": 0}, "needs no fit"), ({"spz_bits": 9}, "from 4 to 8")):
-        with pytest.raises(ValueError, match=said):
-            scene.export(outputs[0], **wrong)  # type: ignore[arg-type]
+        with pytest.raises(UsageError, match=said):
+            api.export(scene, outputs[0], **wrong)  # type: ignore[arg-type]
     # Nothing is written if an output has no format.
-    with pytest.raises(ValueError, match=r"allowed are \.ply, \.spz, \.sog, \.glb"):
-        scene.export(tmp_path / "c.ply", tmp_path / "c.obj")
+    with pytest.raises(UsageError, match=r"allowed are \.ply, \.spz, \.sog, \.glb"):
+        api.export(scene, [tmp_path / "c.ply", tmp_path / "c.obj"])
     assert not (tmp_path / "c.ply").exists()
 
 
@@ -264,19 +266,19 @@ def test_export_of_another_scene(
     monkeypatch.setattr(views, "AROUND", 18)
     monkeypatch.setattr(views, "SIDE", 32)
     outputs = [tmp_path / "a.ply", tmp_path / "a.glb"]
-    found = scene.export(*outputs, degree=1, iterations=0)
+    splats = api.export(scene, outputs, degree=1, iterations=0).values["splats"]
     assert len(fits) == 1
-    assert (found.degree, found.mean.flags.writeable) == (1, False)
+    assert (splats.degree, splats.mean.flags.writeable) == (1, False)
     words = ["export", str(TRAINED), "-o", str(tmp_path / "b.ply"), "--degree", "1", "--iterations", "0"]
     assert main(words) == 0
     assert outputs[0].read_bytes() == (tmp_path / "b.ply").read_bytes()
     # Without outputs it returns the Gaussians only.
-    seen = scene.export(degree=0, iterations=0, cameras=[scene.camera])
+    seen = api.export(scene, [], degree=0, iterations=0, cameras=[scene.camera]).values["splats"]
     assert 0 < len(seen.mean) <= scene.masks.sum()
     assert [camera.name for camera in fits[-1][1]] == [scene.camera.name]
     for wrong in ({"degree": 4}, {"iterations": -1}, {"cameras": []}, {"cameras": [None]}):
         with pytest.raises(ValueError, match=r"must be|is empty"):
-            scene.export(**wrong)  # type: ignore[arg-type]
+            api.export(scene, [], **wrong)  # type: ignore[arg-type]
 
 
 def test_a_camera_looks_at_a_point(scene: refcodec.Scene) -> None:
@@ -339,7 +341,7 @@ def test_plain_gaussians_of_a_static_scene() -> None:
     scene = refcodec.decode(static)
     n = int(scene.masks.sum())
     shapes = {"mean": (n, 3), "base": (n, 3), "rest": (n, 8, 3), "opacity": (n,), "scale": (n, 3), "quaternion": (n, 4)}
-    for found in (refcodec.gaussians(static), refcodec.gaussians(static.read_bytes()), scene.splats):
+    for found in (refcodec.splats(static), refcodec.splats(static.read_bytes()), scene.splats):
         assert isinstance(found, refcodec.Splats)
         assert found.degree == 2
         assert list(vars(found)) == list(shapes)
@@ -348,21 +350,21 @@ def test_plain_gaussians_of_a_static_scene() -> None:
             np.testing.assert_array_equal(values, getattr(scene.splats, name))
     # Those of a view are the same ones.
     assert np.array_equal(scene.gaussians().mean, scene.splats.mean)
-    assert len(refcodec.gaussians(TRAINED.with_name("static-empty.c3gs")).mean) == 0
+    assert len(refcodec.splats(TRAINED.with_name("static-empty.c3gs")).mean) == 0
 
 
 def test_other_scenes_have_no_plain_gaussians(scene: refcodec.Scene) -> None:
     """Nothing is decoded for the verdict, and bounds hold as for decode."""
     with pytest.raises(ValueError, match="`refcodec export FILE -o OUTPUT`"):
-        refcodec.gaussians(TRAINED)
+        refcodec.splats(TRAINED)
     with pytest.raises(ValueError, match="depend on the view"):
-        refcodec.gaussians(TRAINED, max_anchors=1)
+        refcodec.splats(TRAINED, limits=refcodec.Limits(anchors=1))
     with pytest.raises(ValueError, match="depend on the view"):
         _ = scene.splats
     with pytest.raises(refcodec.BoundPassedError):
-        refcodec.gaussians(TRAINED.with_name("static-degree-2.c3gs"), max_anchors=1)
+        refcodec.splats(TRAINED.with_name("static-degree-2.c3gs"), limits=refcodec.Limits(anchors=1))
     with pytest.raises(refcodec.BitstreamError):
-        refcodec.gaussians(TRAINED.with_name("static-degree-2.c3gs").read_bytes()[:-1])
+        refcodec.splats(TRAINED.with_name("static-degree-2.c3gs").read_bytes()[:-1])
 
 
 def test_a_folder_comes_back_as_it_was(scene: refcodec.Scene, tmp_path: Path) -> None:
@@ -403,7 +405,7 @@ def test_an_open_file_reads_what_is_asked_for(monkeypatch: pytest.MonkeyPatch, s
         return opened[-1]
 
     many = ROOT / "vectors" / "valid" / "chunks-uneven.c3gs"
-    monkeypatch.setattr("refcodec.api.opening.builtins", SimpleNamespace(open=counting))
+    monkeypatch.setattr("refcodec.folder.places.builtins", SimpleNamespace(open=counting))
     with refcodec.open(many) as file:
         (counted,) = opened
         section = file.header.section(DATA)
@@ -450,11 +452,11 @@ def test_a_refused_file_says_why(tmp_path: Path) -> None:
 
 
 def test_bounds_hold_before_any_work() -> None:
-    with pytest.raises(refcodec.BoundPassedError, match="the caller's bound is 1"):
-        refcodec.decode(TRAINED, max_anchors=1)
+    with pytest.raises(refcodec.BoundPassedError, match="it has 2182 anchors, but --max-anchors allows 1"):
+        refcodec.decode(TRAINED, limits=refcodec.Limits(anchors=1))
     with pytest.raises(refcodec.BoundPassedError, match="units of work"):
-        refcodec.decode(TRAINED, max_work=1000)
-    with refcodec.open(TRAINED, max_memory=1000) as file, pytest.raises(refcodec.BoundPassedError):
+        refcodec.decode(TRAINED, limits=refcodec.Limits(work=1000))
+    with refcodec.open(TRAINED, limits=refcodec.Limits(memory=1000)) as file, pytest.raises(refcodec.BoundPassedError):
         next(iter(file))
 
 
@@ -483,7 +485,7 @@ def test_a_url_is_read_by_ranges(monkeypatch: pytest.MonkeyPatch) -> None:
         def length(self) -> int:
             return len(self.data)
 
-    monkeypatch.setattr("refcodec.api.opening.RemoteFile", Stored)
+    monkeypatch.setattr("refcodec.folder.places.RemoteFile", Stored)
     assert refcodec.encode(refcodec.decode("https://example.org/scene.c3gs")) == TINY.read_bytes()
 
 
@@ -491,19 +493,26 @@ def test_a_scene_draws_itself(scene: refcodec.Scene) -> None:
     pytest.importorskip("numba")
     from refcodec.rendering.view import View, eight_bits, own_camera  # noqa: PLC0415
 
-    made = refcodec.render(scene)
+    made = scene.render()
     view = View(scene.coded)
     assert np.array_equal(made, eight_bits(view.draw(own_camera(view.camera))))
     assert (made.dtype, made.shape[2]) == (np.uint8, 3)
     small = scene.camera.resized(40, 30)
-    assert refcodec.render(scene, small).shape == (30, 40, 3)
+    assert scene.render(small).shape == (30, 40, 3)
     assert len(scene.orbit(3)) == 3
 
 
-def test_a_missing_extra_is_named(scene: refcodec.Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "refcodec.rendering.view", None)
-    with pytest.raises(ModuleNotFoundError, match=re.escape("pip install 'refcodec[render]'")):
-        refcodec.render(refcodec.Scene(scene.coded))
+def test_a_missing_extra_is_named() -> None:
+    program = f"""
+import sys, refcodec
+sys.modules["numba"] = None
+try:
+    refcodec.decode({str(TRAINED)!r}).render()
+except ModuleNotFoundError as error:
+    print(error)
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout == "drawing needs numba: pip install 'refcodec[render]'\n"
 
 
 def _no_render(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -532,7 +541,7 @@ def test_a_notebook_shows_a_scene(
         assert (f">{name}</th>" in text) == (size > 0)
     assert f"{TRAINED.stat().st_size:,} bytes" in text
     assert shown in text
-    assert text.count("<circle") <= page.POINTS
+    assert text.count("<circle") <= notebook.POINTS
     assert text.count("<circle") > 50 or shown == "<img"
 
 

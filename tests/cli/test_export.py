@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import shutil
 from pathlib import Path
@@ -132,53 +131,3 @@ def test_a_scene_folder(place: Path, capsys: pytest.CaptureFixture[str]) -> None
     capsys.readouterr()
     assert main(["export", "scene", "-o", "scene/new.ply", *QUICK]) == 64
     assert "files are read" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["scene.c3gs", "-o", "scene.obj"], "allowed are .ply, .spz, .sog, .glb"),
-        (["scene.c3gs", "-o", "scene.c3gs"], "unknown suffix"),
-        (["scene.c3gs", "-o", "a.ply", "-o", "scene.obj"], "scene.obj has an unknown suffix"),
-        (["scene.c3gs", "-o", "a.ply", "-o", "a.ply"], "a.ply"),
-        (["scene.c3gs", "-o", "a.ply", "-o", "a.html"], "a page needs its own command"),
-        (["scene.c3gs", "-o", "a", "-o", "b", "--scaffold"], "a Scaffold-GS folder needs its own command"),
-        (["scene.c3gs", "-o", "nowhere/scene.ply"], "there is no directory"),
-        (["nothing.c3gs", "-o", "scene.ply"], "cannot read nothing.c3gs"),
-        (["scene.c3gs", "-o", "scene.ply", "--degree", "4"], "invalid choice"),
-        (["scene.c3gs", "-o", "scene.ply", "--max-anchors", "100"], "--max-anchors"),
-        (["scene.c3gs", "-o", "scene.ply", "--cameras", "nothing"], "nothing"),
-        (["empty.c3gs", "-o", "scene.ply"], "no camera sees a Gaussian"),
-        (["scene.c3gs", "-o", "scene.ply", "--spz-bits", "6"], "--spz-bits applies only to .spz outputs"),
-        (["scene.c3gs", "-o", "scene.spz", "--spz-bits", "3"], "invalid choice"),
-        (["static.c3gs", "-o", "scene.ply", "--degree", "2"], "a static scene, which needs no fit: omit --degree"),
-        (["static.c3gs", "-o", "scene.ply", "--cameras", "x"], "a static scene, which needs no fit: omit --cameras"),
-        (["static.c3gs", "-o", "model", "--scaffold"], "render_model 1"),
-        (["static.c3gs", "--splat", "scene.c3gs"], "allowed are .ply, .spz, .sog, .glb, .compressed.ply\n"),
-        (["static.c3gs", "--splat", "a.ply", "-o", "folder"], "not allowed with argument"),
-        (["static.c3gs", "--splat", "a.ply", "--keep-going"], "--splat writes whole files only"),
-        (["static.c3gs", "--splat", "a.ply", "--chunks", "0:1"], "--splat writes whole files only"),
-        (["scene.c3gs", "--splat", "a.ply"], "`refcodec export FILE -o OUTPUT` fits plain Gaussians to its views"),
-        (["static-empty.c3gs", "--splat", "a.ply"], "it has no Gaussians"),
-        (["static-far.c3gs", "--splat", "a.spz"], "SPZ positions are below 2^23"),
-    ],
-)
-def test_wrong_usage(words: list[str], said: str, place: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    shutil.copy(STATIC, place / "static.c3gs")
-    for name in ("empty.c3gs", "static-empty.c3gs", "static-far.c3gs"):
-        shutil.copy(STATIC.with_name(name), place)
-    before = sorted(place.iterdir())
-    assert main(["decode" if "--splat" in words else "export", *words]) == 64
-    assert said in capsys.readouterr().err
-    assert sorted(place.iterdir()) == before
-
-
-def test_a_bad_file(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The verdict is that of every command, and nothing is written."""
-    data = bytearray(TRAINED.read_bytes())
-    data[len(data) // 2] ^= 1
-    (place / "bad.c3gs").write_bytes(data)
-    assert main(["export", "bad.c3gs", "-o", "scene.ply"]) == 1
-    verdict = json.loads(capsys.readouterr().err.splitlines()[-1])
-    assert {"code", "offset", "clause"} <= verdict.keys()
-    assert not (place / "scene.ply").exists()

@@ -14,7 +14,7 @@ import pytest
 from docs import commands, document
 from docs.__main__ import ROOT, SPEC_PAGE, build
 from refcodec.bitstream.errors import REGISTRY
-from refcodec.cli.main import GROUPS
+from refcodec.cli.parser import GROUPS
 from refcodec.inspect import specification
 
 BUILDER = ("sphinx", "myst_parser", "furo")

@@ -81,7 +81,7 @@ def test_pictures_are_the_same(name: str) -> None:
 
 
 def test_decode_splat(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The command writes the Gaussians of refcodec.gaussians, and refuses other scenes."""
+    """The command writes the Gaussians of refcodec.splats, and refuses other scenes."""
     pytest.importorskip("PIL")
     file = VALID / "static-degree-2.c3gs"
     outputs = [tmp_path / f"a{suffix}" for suffix in FORMATS]
@@ -89,15 +89,15 @@ def test_decode_splat(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     printed = capsys.readouterr().out
     assert all(f"{each.stat().st_size:,} bytes" in printed for each in outputs)
     for output, (suffix, row) in zip(outputs, FORMATS.items(), strict=True):
-        assert output.read_bytes() == write_splats(refcodec.gaussians(file), suffix, Options(refcodec.decode(file).up))
+        assert output.read_bytes() == write_splats(refcodec.splats(file), suffix, Options(refcodec.decode(file).up))
         assert row.kind.begins.match(output.read_bytes())
-    restored, wanted = FORMATS[".ply"].read(outputs[0].read_bytes()), refcodec.gaussians(file)
+    restored, wanted = FORMATS[".ply"].read(outputs[0].read_bytes()), refcodec.splats(file)
     assert all(np.array_equal(values, getattr(restored, kind)) for kind, values in vars(wanted).items())
     other = str(VALID / "trained-caliterra.c3gs")
     assert main(["decode", other, "--splat", str(tmp_path / "b.ply")]) == 64
     assert "refcodec export" in capsys.readouterr().err
     with pytest.raises(ValueError, match="depend on the view"):
-        refcodec.gaussians(other)
+        refcodec.splats(other)
     assert not (tmp_path / "b.ply").exists()
 
 

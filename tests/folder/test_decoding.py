@@ -17,7 +17,7 @@ from random_scenes import random_scene
 from safetensors.numpy import load_file, save
 
 from refcodec.bitstream import codec, reader, reconstruction
-from refcodec.bitstream.bounds import BoundPassedError, Bounds, memory_needed
+from refcodec.bitstream.bounds import BoundPassedError, Limits, memory_needed
 from refcodec.bitstream.errors import BitstreamError
 from refcodec.bitstream.reader import Reader, decode_chunk
 from refcodec.bitstream.reconstruction import chunk_digest, digest, reconstruct
@@ -212,7 +212,7 @@ def test_bounds_come_first(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Reader, "open", pytest.fail)
     for side_by_side in (False, True):
         with pytest.raises(BoundPassedError):
-            list(decoded_chunks(WholeFile(DATA_OF), side_by_side=side_by_side, bounds=Bounds(anchors=89)))
+            list(decoded_chunks(WholeFile(DATA_OF), side_by_side=side_by_side, limits=Limits(anchors=89)))
 
 
 # --- files that are refused -------------------------------------------------------------------------------------------

@@ -7,7 +7,6 @@ import json
 import math
 import sys
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -100,7 +99,7 @@ def test_what_is_no_camera_draws_nothing(wrong: dict[str, Any], monkeypatch: pyt
     camera = replace(scene.camera, **wrong)
     monkeypatch.setattr("refcodec.rendering.view.gaussians", pytest.fail)
     monkeypatch.setattr("refcodec.api.scenes.gaussians_of", pytest.fail)
-    for use in (scene.render, scene.gaussians, partial(refcodec.render, scene)):
+    for use in (scene.render, scene.gaussians):
         with pytest.raises(ValueError, match=r"image|focal|rotation|translation"):
             use(camera)
         with pytest.raises(ValueError, match="the camera must be a Camera"):

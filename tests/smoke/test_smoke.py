@@ -20,11 +20,11 @@ def test_each_requirement_has_a_test() -> None:
     functions = {tuple(line.partition("[")[0].split("::")) for line in lines if "::" in line}
     for path, name in functions:
         assert f"\ndef {name}(" in (ROOT / path).read_text(encoding="utf-8"), f"{path} has no {name}"
-    tests = proofs()[0]
+    by_requirement = proofs()[0]
     missing = {
         name
         for name, requirement in own_requirements().items()
-        if not requirement.error and not any((place.path, place.name) in functions for place in tests[name])
+        if not requirement.error and not any((place.path, place.name) in functions for place in by_requirement[name])
     }
     assert missing == set()
 

@@ -229,8 +229,8 @@ def test_export_of_a_bad_file(trained: Path, tmp_path: Path, capsys: pytest.Capt
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["view", "nothing.c3gs"], "cannot read nothing.c3gs"),
-        (["view", "FILE", "--port", "70000"], "must be from 0 to 65535"),
+        (["view", "nothing.c3gs"], "nothing.c3gs: No such file"),
+        (["view", "FILE", "--port", "70000"], "must be a whole number from 0 to 65535"),
         (["view", "FILE", "--photographs", "nothing"], "nothing"),
         (["view", "FILE", "--max-anchors", "100"], "--max-anchors"),
     ],

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..pages.environment import render
+from .environment import render
 
 # The longest side of a picture in pixels, and the most points of one.
 SIDE = 320
@@ -43,7 +43,7 @@ def table(
         sizes: the bytes of each part, or None if they are not known.
         picture: a PNG file, points, or None.
     """
-    template = Path(__file__).with_name("page.html")
+    template = Path(__file__).with_name("notebook.html")
     return render(template, title=title, facts=facts, sizes=sizes, picture=picture)
 
 

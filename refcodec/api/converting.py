@@ -1,0 +1,209 @@
+"""Convert models and splats of other programs."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Unpack
+
+from ..files.lock import errors_of
+from ..files.stage import folder_beside, write_file
+from ..files.text import shell_word
+from ..statuses import DONE, INTERRUPTED, UsageError
+from . import kinds
+from .command import Report, Word, command, refusing
+from .learning import TrainingWords, run_training
+
+_VIEWS = 200
+# Words that apply to splat files only, and those of them that apply to a training only.
+_OF_SPLATS = ("views", "cameras", "pictures", "steps", "lambda_r", "size", "psnr", "fast")
+_OF_TRAINING = ("pictures", "lambda_r", "seed", "resume", "background", "holdout", "anchors", "voxel", "set")
+
+
+class ConvertWords(TrainingWords, total=False):
+    """How a model or a splat file is converted.
+
+    Args:
+        fast: splats: code the Gaussians, without a training of a scene.
+        psnr: --fast: PSNR of pictures to those of the splats (default: 46).
+        appearance: model: number of the training camera whose appearance the scene gets (default: the mean of all).
+        views: splats: pictures to train from (default: 200; --fast: 32).
+        cameras: splats: a cameras.json as 3DGS writes it.
+        pictures: splats: keep the pictures, as photographs for eval.
+        lambda_r: splats: lambda_r of the training (default: 0.004).
+        resume: splats: continue an interrupted training.
+    """
+
+    fast: bool
+    psnr: kinds.Decibels | None
+    appearance: kinds.Count | None
+    views: kinds.Positive | None
+    cameras: kinds.FilePath | None
+    pictures: kinds.Folder | None
+    lambda_r: kinds.Lambda | None
+    resume: bool
+    progress: bool
+
+
+@command("convert", writes=True)
+def convert(source: kinds.AnyPath, output: kinds.SceneFolder, **words: Unpack[ConvertWords]) -> Report:
+    """Convert a trained model or a splat file of another program to a scene folder.
+
+    SOURCE is a model folder of Scaffold-GS, HAC, HAC++ or CAT-3DGS, or one of its folders iteration_N.
+    The scene looks like the model. It is not compressed yet: encode compresses it.
+    Or SOURCE is a splat file: .ply (of 3DGS, or compressed by PlayCanvas), .spz, .sog or .glb, or a SOG folder
+    with meta.json. It is rendered from the cameras in its cameras.json, or else from cameras around it, whose
+    up axis is that of --up, of a .glb file, or -y. A scene is trained from these pictures.
+    Options that train also has work as there.
+    With --fast, the Gaussians of a splat file themselves are coded, as a static scene, in about a minute. The
+    output is a C3GS file then. Pictures only measure which numbers matter.
+    No code of a model runs: pickles are checked first, and TorchScript is read but not executed.
+    Needs: pip install 'refcodec[convert]'.
+
+    Args:
+        source: a model folder, or a splat file.
+        output: the scene folder to write; with --fast the C3GS file.
+
+    Examples:
+        convert output/model -o scene
+        convert output/model -o scene --appearance 0
+        convert scene.ply -o scene --views 200
+        convert scene.ply -o scene.c3gs --fast
+        convert scene.ply -o scene.c3gs --fast --psnr 40
+        convert scene.spz -o scene --up=+y --size 800 --lambda 0.002 --steps 8000
+    """
+    from ..formats.sog import META
+    from ..formats.table import FORMATS, is_splat_file
+
+    path = Path(source)
+    splats = path / META if (path / META).is_file() else path
+    if path.is_dir() and splats == path:
+        _refuse(words, _OF_SPLATS, f"splat files: omit it for {path}")
+        return _convert_model(path, Path(output), words)
+    if not is_splat_file(splats):
+        problem = f"is neither a model folder nor a splat file ({', '.join(FORMATS)})"
+        raise UsageError(f"{path} {problem if os.path.lexists(path) else 'does not exist'}")
+    _refuse(words, ("appearance",), f"model folders: omit it for {path}")
+    if words.get("fast"):
+        _refuse(words, _OF_TRAINING, "a training: omit it, or omit --fast")
+        return _convert_fast(splats, Path(output), words)
+    _refuse(words, ("psnr",), "--fast: add it, or choose the quality of a training with --lambda")
+    return _train(splats, Path(output), words)
+
+
+def _refuse(words: Mapping[str, object], names: tuple[str, ...], what: str) -> None:
+    """Raises UsageError for the first given word of some. what: states what they apply to."""
+    for name in names:
+        if words.get(name) not in (None, False, ()):
+            raise UsageError(f"{Word(name).option} applies only to {what}")
+
+
+def _convert_model(source: Path, output: Path, words: ConvertWords) -> Report:
+    """Converts a model folder to an uncompressed scene."""
+    from ..convert.checkpoint import read_checkpoint
+    from ..folder.places import check_outputs
+    from ..folder.uncompressed import write_uncompressed
+
+    check_outputs([source], scene=output, uncompressed=True)
+    appearance = words.get("appearance")
+    model = read_checkpoint(source, appearance)
+    scene = model.scene
+    if (up := kinds.axis_number(words.get("up"))) is not None:
+        scene = replace(scene, render=replace(scene.render, up_axis=up))
+    write_uncompressed(scene, output)
+    notes = []
+    if model.appearances and appearance is None:
+        notes = [
+            f"refcodec: the model has an appearance for each of {model.appearances} cameras; the scene gets their mean "
+            "(--appearance N selects that of one camera)"
+        ]
+    count, offsets = scene.masks.shape
+    line = f"{output}: {count} anchors, {scene.values.features.shape[1]} features, {offsets} offsets"
+    hint = f"next: refcodec encode {shell_word(str(output))} -o {shell_word(f'{output}.c3gs')} --lambda 0.004"
+    return Report([line, hint], {"anchors": count}, notes)
+
+
+def _convert_fast(source: Path, output: Path, words: ConvertWords) -> Report:
+    """Converts a splat file to a file of a static scene, without a training of the scene."""
+    from ..bitstream.codec import emit
+    from ..bitstream.header import RenderInfo
+    from ..convert import fast
+    from ..convert.pictures import chosen_cameras, stated_cameras, up_of
+    from ..convert.views import near_plane
+    from ..folder.places import C3GS, check_outputs, progress_bar
+    from ..formats.table import read_splats
+    from ..rendering.camera import STATED, nearest_axis
+    from .shown import note_compiling
+
+    check_outputs([source], (output, C3GS))
+    cameras, splats = stated_cameras(source, words.get("cameras")), read_splats(source)
+    note_compiling()
+    up, size = up_of(source, words.get("up")), words.get("size") or str(fast.SIDE)
+    chosen = chosen_cameras(cameras, splats, up, size, words.get("views") or fast.VIEWS)
+    render = RenderInfo(up_axis=nearest_axis(up), near_plane=near_plane(splats))
+    psnr, steps = words.get("psnr") or fast.PSNR, words.get("steps") or fast.STEPS
+    with progress_bar(words) as show, refusing(f"{source} cannot be converted"):
+        made = fast.converted(splats, chosen, render, STATED if cameras else 1, psnr, steps, show)
+        data = emit(made.scene, progress=show)
+    write_file(output, data)
+    count = f"{made.scene.anchor_count:,} of {len(splats.mean):,} Gaussians"
+    line = f"{output}: {len(data):,} bytes, {count}, {made.psnr:.1f} dB to {source}"
+    notes = []
+    if abs(made.psnr - psnr) > 1:
+        notes.append(f"refcodec: {psnr:g} dB were not reached: the file has the nearest quality that was found")
+    if not made.whole:
+        notes.append("refcodec: stopped early; the file is written, but larger than necessary")
+    values = {"bytes": len(data), "anchors": made.scene.anchor_count, "psnr": made.psnr}
+    return Report([line], values, notes, status=DONE if made.whole else INTERRUPTED)
+
+
+def _train(source: Path, output: Path, words: ConvertWords) -> Report:
+    """Draws a splat file from cameras, and trains a scene from these pictures."""
+    from ..convert.pictures import check_pictures, draw_pictures, stated_cameras
+    from ..folder.places import check_outputs, progress_bar
+    from ..photographs.as_trained import stated_photographs
+    from ..train.command import state_path
+    from ..train.place import STATE, check_state
+    from ..train.settings_file import chosen_settings
+    from .shown import note_compiling
+
+    # The default background is black, as in 3DGS.
+    words["background"] = words.get("background") or "black"
+    settings, up = chosen_settings(words), words.get("up")
+    resume, stated = words.get("resume", False), words.get("pictures")
+    state, kept = state_path(output), None if stated is None else Path(stated)
+    check_outputs([source], (state, STATE), scene=output, uncompressed=True)
+    check_state(output, state, resume)
+    # A resumed training uses the pictures that the interrupted one left.
+    drawn = not (resume and kept and kept.is_dir())
+    if kept and drawn:
+        check_pictures(kept, output)
+    cameras, views = stated_cameras(source, words.get("cameras")), words.get("views") or _VIEWS
+    note_compiling()
+    with contextlib.ExitStack() as beside, refusing(f"{source} cannot be used for training"):
+        folder = kept or Path()
+        if drawn:
+            folder = beside.enter_context(folder_beside((kept or output).absolute().parent)) / "pictures"
+            with errors_of(kept or output), progress_bar(words) as show:
+                folder.mkdir()
+                draw_pictures(source, cameras, folder, up, settings.size, views, settings.background, show)
+        # The pictures have their own split.
+        photographs = stated_photographs(folder, settings.size, settings.background, settings.holdout)
+        report = run_training(
+            photographs,
+            settings,
+            output,
+            str(kept or "PHOTOGRAPHS"),
+            threads=os.cpu_count() or 1,
+            device="cpu",
+            resume=resume,
+            progress=words.get("progress", False),
+            up_axis=kinds.axis_number(up),
+        )
+        if drawn and kept:
+            with errors_of(kept):
+                folder.replace(kept)
+    return report

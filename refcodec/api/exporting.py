@@ -1,0 +1,320 @@
+"""Write scenes for other programs."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal, Unpack
+
+from ..export import DEGREE, ITERATIONS
+from ..files.outputs import check_apart
+from ..files.stage import Stage, write_file
+from ..files.text import counted
+from ..statuses import UsageError
+from . import kinds
+from .command import ReadingWords, Report, command, refusing
+
+if TYPE_CHECKING:
+    from ..bitstream.batches import Progress
+    from ..formats.splats import Splats
+    from ..rendering.camera import Camera
+    from .scenes import Scene
+    from .shown import Shown
+
+_PAGE, _GLB, _C3GS = ".html", ".glb", ".c3gs"
+# The copies of a scene that an export holds: the Gaussians of many views and their harmonics.
+EXPORT_COPIES = 75
+
+
+class ExportWords(ReadingWords, total=False):
+    """How a scene is written.
+
+    Args:
+        scaffold: write a Scaffold-GS folder.
+        glb: what a .glb contains: plain Gaussians, or for a static scene FILE itself, or both.
+        degree: degree of the spherical harmonics, by which colours depend on the direction (default: 3).
+        cameras: fit to the cameras of a folder of photographs; in Python also a list of refcodec.Camera.
+        photographs: add up to 8 held-out photographs to the page, to compare with the scene.
+        iterations: least-squares steps on the images, after the fit of each Gaussian by itself (default: 10).
+        spz_bits: bits of the harmonics in .spz; fewer make a smaller, less accurate file (default: 7).
+    """
+
+    scaffold: bool
+    glb: Literal["plain", "c3gs", "both"]
+    degree: kinds.Degree | None
+    cameras: kinds.FitCameras | Sequence[Camera] | None
+    size: kinds.Size | None
+    photographs: kinds.AnyPath | None
+    iterations: kinds.Count | None
+    spz_bits: kinds.SpzBits | None
+
+
+@command({"torch": "fit", "": "render"}, writes=True)
+def export(
+    file: kinds.Place | Scene, output: Sequence[kinds.AnyPath] | kinds.AnyPath, **words: Unpack[ExportWords]
+) -> Report:
+    """Write a scene for other programs.
+
+    FILE is a file or a scene folder. The suffix of OUTPUT selects the format:
+
+      .ply  Gaussians as the 3DGS code writes them. Every splat program reads them.
+      .spz  Niantic's format: fixed point, compressed with gzip
+      .sog  PlayCanvas's format: images in an archive
+      .glb  glTF 2.0 with KHR_gaussian_splatting. The scene stands upright.
+      .compressed.ply  PlayCanvas's format: numbers of 8 to 11 bits in the ranges of 256 Gaussians
+      .html a page that draws FILE itself in any browser. It contains FILE and makes no requests.
+
+    --photographs adds photographs to a page for comparison. The rest of this text is about splats.
+
+    A static scene has ordinary Gaussians, which are written as they are: .ply and .glb lose nothing, .spz and .sog what
+    the format loses. The options of the fit do not apply.
+
+    The Gaussians of any other scene depend on the camera. An ordinary splat has one fixed set, with spherical harmonics
+    for the colours. It is fitted to the views of these cameras:
+
+      - with --cameras PHOTOGRAPHS, a COLMAP or NeRF folder, the training cameras
+      - else the cameras of FILE, if there are 8 or more; train keeps 16, spread as far as possible
+      - else 64 cameras around the scene, where its networks were not trained
+
+    The command reports the PSNR of the splat in dB, measured on views that the fit did not use. With cameras of FILE,
+    these lie between each camera and its nearest.
+    Gaussians that contribute less than a tenth of a pixel to every view are dropped.
+    The fit and .sog need: pip install 'refcodec[render]'.
+
+    A static scene can be carried in a .glb as it is: --glb c3gs writes FILE itself by the extension
+    KHR_gaussian_splatting_compression_c3gs, and --glb both adds plain Gaussians for readers without this extension. If
+    FILE is such a .glb, an OUTPUT with the suffix .c3gs gets the scene that it contains.
+
+    With --scaffold, OUTPUT is a folder that the code of Scaffold-GS loads. It shows the same Gaussians as FILE.
+    Needs: pip install 'refcodec[fit]'.
+
+    Args:
+        file: a C3GS file, or the folder of an uncompressed scene.
+        output: the file to write; repeatable, and all splats of a command share one fit.
+
+    Examples:
+        export scene.c3gs -o scene.ply
+        export scene.c3gs -o scene.spz --cameras photographs
+        export scene.c3gs -o scene.sog -o scene.glb --degree 1
+        export static.c3gs -o scene.glb --glb c3gs
+        export scene.glb -o static.c3gs
+        export scene.c3gs -o model --scaffold
+        export scene.c3gs -o scene.html --photographs photographs
+
+    Returns:
+        A report whose `values` have `splats`, the written Gaussians (refcodec.Splats), which is also made without an
+        output.
+    """
+    from ..folder.places import check_outputs, shown_name
+    from ..viewer.page import PAGE
+    from .viewing import write_page
+
+    paths, name = _paths(output), shown_name(file)
+    if words.get("glb", "plain") != "plain" or name.lower().endswith(_GLB):
+        return _carried(file, paths, words)
+    page = any(path.suffix.lower() == _PAGE for path in paths)
+    if (words.get("scaffold") or page) and len(paths) != 1:
+        single = "a page" if page else "a Scaffold-GS folder"
+        raise UsageError(f"{single} needs its own command: only splats can be several outputs")
+    if words.get("scaffold"):
+        return _scaffold(file, paths[0], words)
+    if page:
+        check_outputs([file, words.get("photographs")], (paths[0], PAGE))
+        return write_page(_shown(file, words), paths[0], words)
+    if words.get("photographs") is not None:
+        raise UsageError(f"--photographs applies only to {_PAGE} outputs: use --cameras for splats")
+    _check_splats(file, paths, _PAGE)
+    if words.get("spz_bits") is not None and not any(path.suffix.lower() == ".spz" for path in paths):
+        raise UsageError("--spz-bits applies only to .spz outputs: omit it")
+    return _write_splats(_shown(file, words), paths, words)
+
+
+def _shown(file: kinds.Place | Scene, words: ExportWords, program: int | None = None) -> Shown:
+    """Returns the scene of an export. program: bytes of its packages, None for those of drawing."""
+    from ..bitstream.bounds import DRAWING
+    from .shown import Shown
+
+    return Shown(file, words, EXPORT_COPIES, DRAWING if program is None else program)
+
+
+def _paths(output: Sequence[kinds.StrPath] | kinds.StrPath) -> list[Path]:
+    """Returns the paths of one or more outputs."""
+    return [*map(Path, [output] if isinstance(output, str | os.PathLike) else output)]
+
+
+def decode_splats(file: kinds.Place, output: Sequence[kinds.StrPath] | kinds.StrPath, words: ReadingWords) -> Report:
+    """Writes the splat files of `decode`: the Gaussians of a static scene."""
+    from ..rendering.gaussians import check_static
+    from .shown import Shown
+
+    paths = _paths(output)
+    _check_splats(file, paths)
+    shown = Shown(file, words)
+    check_static(shown.render)
+    return _write_splats(shown, paths, {**words})
+
+
+def _check_splats(file: object, paths: list[Path], *others: str) -> None:
+    """Raises UsageError if a file has an unknown suffix, or is not free. others: more suffixes that are allowed."""
+    from ..folder.places import check_outputs
+    from ..formats.table import FORMATS, suffix_of
+
+    files = [(path, suffix_of(path)) for path in paths]
+    for path, suffix in files:
+        if suffix is None:
+            raise UsageError(f"{path} has an unknown suffix; allowed are {', '.join([*FORMATS, *others])}")
+    check_outputs([file], *((path, FORMATS[suffix].kind) for path, suffix in files if suffix))
+
+
+def _write_splats(shown: Shown, paths: list[Path], words: ExportWords) -> Report:
+    """Writes the Gaussians of a scene: those of a static scene as they are, or those of a fit."""
+    from ..bitstream.dimensions import STATIC
+    from ..folder.places import progress_bar
+    from ..formats.common import BITS, Options
+    from ..formats.table import FORMATS, suffix_of, write_splats
+    from ..rendering.gaussians import check_render_model, static_splats
+    from .scenes import read_only
+
+    check_render_model(shown.render)
+    if shown.render.render_model == STATIC:
+        for word in ("degree", "cameras", "iterations"):
+            if words.get(word) is not None:
+                raise UsageError(f"{shown.name} is a static scene, which needs no fit: omit --{word}")
+        splats, measure, views = static_splats(shown.coded()), None, ""
+        count = counted(len(splats.mean), "Gaussian")
+    else:
+        splats, kept, measure, views = _fit(shown, paths, words)
+        count = f"{len(splats.mean):,} of {kept:,} Gaussians"
+    bits, suffixes = words.get("spz_bits") or BITS, [suffix_of(path) or "" for path in paths]
+    with refusing(f"{shown.name} cannot be exported"), progress_bar(words) as show:
+        options = Options(shown.up, shown.render, bits)
+        files = [write_splats(splats, suffix, options) for suffix in suffixes]
+        # The written numbers are measured.
+        near = [measure(FORMATS[s].read(file), show) for s, file in zip(suffixes, files, strict=True) if measure]
+    lines = [
+        f"{path}: {count}, degree {splats.degree}, {_size(path, splats, file, shown, bits)}"
+        for path, file in zip(paths, files, strict=True)
+    ]
+    if measure:
+        shares = [f"PSNR to the scene: {decibels:.2f} dB over {views}" for decibels in near]
+        lines = [line for pair in zip(lines, shares, strict=True) for line in pair]
+    with Stage() as stage:
+        for path, file in zip(paths, files, strict=True):
+            stage.write(path, file)
+    return Report(lines, {"splats": read_only(splats), "psnr": near})
+
+
+def _fit(
+    shown: Shown, paths: list[Path], words: ExportWords
+) -> tuple[Splats, int, Callable[[Splats, Progress], float], str]:
+    """Returns Gaussians that are fitted to views, and the number that the scene keeps.
+
+    Also returns a function that measures the PSNR of written Gaussians to the scene, in dB, and its views in words.
+    """
+    from ..export.fit import agreement, fit
+    from ..export.views import Views, sized, views_of
+    from ..folder.places import progress_bar
+    from ..rendering.camera import check_camera
+    from ..rendering.view import View
+    from .shown import note_compiling
+
+    note_compiling()
+    view, cameras = View(shown.scene), words.get("cameras")
+    if cameras is None:
+        views = views_of(view, shown.cameras)
+        if len(views.fit) and "around" in views.source:
+            shown.remark(f"the views are {views.source}; --cameras PHOTOGRAPHS fits to cameras of photographs instead")
+    elif isinstance(cameras, str | os.PathLike):
+        pictured, notes = shown.photographs(cameras, {"size": words.get("size")})
+        shown.remark(*notes)
+        check_apart(paths, pictured.places())
+        train, test = ([sized(p.camera) for p in some] for some in (pictured.train, pictured.test))
+        views = Views(train or test, test or train, f"{len(train)} cameras of photographs")
+    else:
+        for camera in cameras:
+            check_camera(camera)
+        if not cameras:
+            raise UsageError("cameras is empty: give some, or None for those of the file")
+        views = Views([*map(sized, cameras)], [*map(sized, cameras)], counted(len(cameras), "camera"))
+    degree, iterations = words.get("degree"), words.get("iterations")
+    with progress_bar(words) as show, refusing(f"{shown.name} cannot be exported"):
+        steps = ITERATIONS if iterations is None else iterations
+        fitted = fit(view, views.fit, DEGREE if degree is None else degree, steps, show)
+
+    def measure(splats: Splats, show: Progress) -> float:
+        return agreement(view, splats, views.test, show)
+
+    return fitted.splats, fitted.of, measure, f"{len(views.test)} views, fitted to {views.source}"
+
+
+def _size(path: Path, splats: Splats, file: bytes, shown: Shown, bits: int) -> str:
+    """Returns the text about the size of a written file; for .spz also the size with other bits of harmonics."""
+    from ..formats.common import BITS, BITS_MOST, Options
+    from ..formats.table import write_splats
+
+    size = f"{len(file):,} bytes"
+    if shown.data is not None:
+        size += f", {shown.name} has {len(shown.data):,}"
+    if path.suffix.lower() != ".spz" or not splats.degree:
+        return size
+    other = BITS if bits == BITS_MOST else BITS_MOST
+    with_other = len(write_splats(splats, ".spz", Options(spz_bits=other)))
+    return f"{size}\nits harmonics have {bits} bits; with {other} (export --spz-bits) it has {with_other:,} bytes"
+
+
+def _scaffold(file: kinds.Place | Scene, folder: Path, words: ExportWords) -> Report:
+    """Writes a Scaffold-GS folder."""
+    from ..bitstream.bounds import TORCH
+    from ..folder.places import limits_of
+
+    # torch by itself may take more memory than the caller allows. If it is missing, this fails before the work.
+    limits_of(words).beside(TORCH).check_memory(0)
+    import torch  # noqa: F401
+
+    from ..bitstream.reconstruction import reconstruct
+    from ..export.scaffold import FILES, check_folder, lattice_edge, scaffold_files, write_folder
+
+    check_folder(folder)
+    shown = _shown(file, words, TORCH)
+    check_apart([folder / name for name in FILES], [shown.folder or shown.name])
+    scene, plain = shown.scene, shown.uncompressed
+    values, voxel = (plain.values, plain.voxel) if plain else (reconstruct(shown.coded()), lattice_edge(shown.coded()))
+    files = scaffold_files(values, scene.masks, scene.networks, scene.render, shown.cameras, voxel)
+    if scene.render.background not in ((0, 0, 0), (255, 255, 255)):
+        shown.remark("Scaffold-GS has only black and white backgrounds; the folder states black")
+    write_folder(files, folder)
+    return Report([f"{folder}: {scene.anchor_count:,} anchors, {sum(map(len, files.values())):,} bytes"])
+
+
+def _carried(file: kinds.Place | Scene, paths: list[Path], words: ExportWords) -> Report:
+    """Writes a GLB file that contains a static scene as C3GS, or the C3GS file that a GLB file contains."""
+    from ..folder.places import C3GS, check_outputs, shown_name
+    from ..formats.glb import check_colours, glb_bytes
+    from ..formats.table import FORMATS, carried_scene
+    from ..rendering.gaussians import check_static, static_splats
+
+    name = shown_name(file)
+    inside, form = name.lower().endswith(_GLB), words.get("glb", "plain")
+    suffix, reason = (_C3GS, f"{name} is a .glb") if inside else (_GLB, f"--glb {form} is given")
+    if len(paths) != 1 or paths[0].suffix.lower() != suffix or words.get("scaffold"):
+        raise UsageError(f"{reason}, so the output must be one {suffix} file")
+    check_outputs([file], (paths[0], C3GS if inside else FORMATS[_GLB].kind))
+    if inside:
+        data = carried_scene(Path(name))
+        if not C3GS.begins.match(data):
+            raise UsageError(f"the scene in {name} is not a C3GS file")
+        write_file(paths[0], data)
+        return Report([f"{paths[0]}: {len(data):,} bytes; `refcodec validate` checks them"])
+    shown = _shown(file, words)
+    check_static(shown.render)
+    scene, data = shown.coded(), shown.file()
+    with refusing(f"{name} cannot be exported"):
+        check_colours(scene.render)
+        splats = static_splats(scene)
+        if not len(splats.mean):
+            raise ValueError("it has no Gaussians")
+        made = glb_bytes(splats, shown.up, data, plain=form == "both")
+    write_file(paths[0], made)
+    share = f"{len(data):,} of them the scene as C3GS"
+    return Report([f"{paths[0]}: {len(splats.mean):,} Gaussians, {len(made):,} bytes, {share}"])

@@ -1,0 +1,87 @@
+"""The pictures of a splat file from which a scene is trained, or by which its Gaussians are coded."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..bitstream.batches import Progress
+from ..formats.splats import Splats
+from ..formats.table import read_splats, splats_up
+from ..photographs.images import parse_background, parse_size
+from ..rendering.camera import Camera
+from ..statuses import UsageError
+from . import views
+from .notes import CAMERAS_FILE, read_cameras
+
+F64 = NDArray[np.float64]
+
+
+def stated_cameras(source: Path, file: str | os.PathLike[str] | None) -> list[Camera]:
+    """Returns the cameras of a cameras.json: the given file, or that of the splat's model; else none.
+
+    3DGS writes it beside its folder point_cloud. Raises UsageError.
+    """
+    if file is not None:
+        cameras = read_cameras(Path(file))
+        if not cameras:
+            raise UsageError(f"{os.fspath(file)} has no cameras: give a cameras.json of 3DGS, or omit --cameras")
+        return cameras
+    beside = [source.parent / CAMERAS_FILE]
+    if source.parent.parent.name == "point_cloud":
+        beside.append(source.parent.parent.parent / CAMERAS_FILE)
+    return next((cameras for cameras in map(read_cameras, beside) if cameras), [])
+
+
+def up_of(source: Path, up: str | None) -> F64:
+    """Returns the up direction of splats: that of an axis such as +z, or of the file."""
+    return views.AXES[up] if up else splats_up(source)
+
+
+def chosen_cameras(cameras: list[Camera], splats: Splats, up: F64, size: str, count: int) -> dict[str, list[Camera]]:
+    """Returns cameras by purpose: a selection of the given ones, or else cameras around the splats.
+
+    size: the sides of pictures. Raises UsageError.
+    """
+    try:
+        sides = parse_size(size)
+    except ValueError as error:
+        raise UsageError(str(error)) from None
+    side = max(sides) if isinstance(sides, tuple) else sides
+    if cameras:
+        return views.given(cameras, count, side)
+    return views.orbit(splats, up, side or views.SIDE, count, max(count // views.TEST_EVERY, 1))
+
+
+def draw_pictures(
+    source: Path,
+    cameras: list[Camera],
+    folder: Path,
+    up: str | None,
+    size: str,
+    count: int,
+    background: str,
+    progress: Progress,
+) -> None:
+    """Writes the pictures of a splat file to a folder. Arguments and errors: as for the functions above."""
+    try:
+        colour = parse_background(background)
+    except ValueError as error:
+        raise UsageError(str(error)) from None
+    splats = read_splats(source)
+    chosen = chosen_cameras(cameras, splats, up_of(source, up), size, count)
+    views.write_photographs(splats, chosen, folder, progress, colour)
+
+
+def check_pictures(pictures: Path, output: Path) -> None:
+    """Raises UsageError unless pictures can be kept in a new folder outside the scene."""
+    if os.path.lexists(pictures):
+        raise UsageError(f"{pictures} exists: choose another folder for the pictures")
+    place, scene = Path(os.path.realpath(pictures)), Path(os.path.realpath(output))
+    if place.is_relative_to(scene) or scene.is_relative_to(place):
+        raise UsageError(
+            f"{pictures} and {output} are the same folder or nested: choose another folder for the pictures"
+        )
