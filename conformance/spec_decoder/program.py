@@ -7,7 +7,6 @@ import os
 import re
 import zlib
 from collections.abc import Callable, Iterator
-from functools import partial
 from importlib.machinery import SourceFileLoader
 from types import CodeType, ModuleType
 from typing import Any
@@ -22,11 +21,6 @@ SPEC = next(place for place in (support.DATA / "SPEC.md", support.DATA.parents[1
 LEVEL = ("level", "anchor_count", "plane_size", "work")
 
 
-# SPEC Annex H: the fields of the header, without arrays whose lengths are fields, and these arrays.
-FIELDS = """
-FIRST_FIELDS = HEADER[:-1] + POSITION_GRID + RENDER_INFO + [field for field in DIMENSIONS if len(field) == 4]
-LISTS = [field for field in DIMENSIONS if len(field) == 3]
-"""
 TAIL = "\nSINE, STEP, GAUSS, LAPLACE = READ_TABLES(table_bytes())\n"
 
 
@@ -61,24 +55,9 @@ def _level(profile: str, *cells: str) -> str:
     return f'{{"profile": {("Tiny", "Main").index(profile)}, {fields}}},'
 
 
-# SPEC Annex H: a field of the header. Those named `reserved` have the prefix of their struct.
-def _field(prefix: str, name: str, kind: str, _: str) -> str:
-    array = re.fullmatch(r"([iu]|f)(\d+)(?:\[(\w+)\])?", kind)
-    if array is None:
-        return ""
-    size, count = int(array[2]) // 8, array[3] or "1"
-    if not count.isdigit():
-        return f'("{name}", {size}, "{count}"),'
-    return f'("{prefix if name == "reserved" else ""}{name}", {size}, {count}, {array[1] == "i"}),'
-
-
 # Of the clauses whose first table is part of the program: its beginning, a row, and its end.
 TABLES: dict[str, tuple[str, Callable[..., str], str]] = {
     "2.5": ("", _constant, ""),
-    "5.2": ("HEADER = [", partial(_field, ""), "]"),
-    "5.3": ("DIMENSIONS = [", partial(_field, "dimensions_"), "]"),
-    "5.4": ("POSITION_GRID = [", partial(_field, "grid_"), "]"),
-    "5.5": ("RENDER_INFO = [", partial(_field, "render_"), "]"),
     "10.3": ("ERRORS = {", _error, "}"),
     "11.1": ("BOUNDS = list(zip(*[", _dimension, "]))"),
     "11.2": ("LEVELS = [", _level, "]"),
@@ -109,7 +88,7 @@ def _lines(text: str) -> Iterator[str]:
 
 def source(text: str) -> str:
     """Returns the program. text: SPEC.md."""
-    return "\n".join(_lines(text)) + FIELDS + TAIL
+    return "\n".join(_lines(text)) + TAIL
 
 
 class _Loader(SourceFileLoader):
