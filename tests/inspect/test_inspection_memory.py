@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,6 +17,8 @@ from refcodec.bitstream.codec import emit, parse
 from refcodec.bitstream.directory import INDEX
 from refcodec.bitstream.reconstruction import digest
 from refcodec.bitstream.scene import Ancillary
+from refcodec.inspect.elements import outline_of
+from refcodec.inspect.page import file_map
 from refcodec.inspect.summary import document, json_lines
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "vectors" / "tiny-example.c3gs"
@@ -55,6 +58,20 @@ def test_an_ancillary_section_takes_memory_as_it_is_long(tmp_path: Path) -> None
         status, most = measured(["inspect", str(file), *options])
         assert status == 0
         assert most - least < 4 * file.stat().st_size
+
+
+def test_the_map_of_many_chunks_takes_little_memory() -> None:
+    """As elements, the entry of a chunk takes nearly 3 KB."""
+    data = emit(random_scene(4, 3000, chunk_size=1))
+    outline = outline_of(data)
+    tracemalloc.start()
+    try:
+        drawn = list(file_map.pieces(data, outline))
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert len(drawn) == 2 + len(outline.sections)
+    assert peak < 300 * outline.header.chunk_count
 
 
 @pytest.mark.parametrize("data", [EXAMPLE.read_bytes(), claiming(3), claiming(9000), b"", EXAMPLE.read_bytes()[:500]])

@@ -9,8 +9,9 @@ from itertools import groupby, islice
 
 import numpy as np
 
-from ...bitstream.directory import DATA, is_critical
+from ...bitstream.directory import DATA, INDEX, PLANES_SECTION, WEIGHTS
 from ...bitstream.header import PROLOGUE_BYTES
+from ...bitstream.source import pad4
 from ...bitstream.syntax import Element
 from ..dump import hex_text, value_text
 from ..elements import Bytes, Outline, SectionPlace, read_index, rows_of, section_rows
@@ -30,9 +31,6 @@ _NAMES = [
         (r"weights\.(hyper|sarm|carm\.\d+|opacity|covariance|colour)\.", r"\1"),
         (r"weights\.(?:symbol_crc|word_count|state|word|raw)", "packed weights"),
         (r"(planes\.r(?:1|2\.\w+_\w+))", r"\1"),
-        (r"index\.mask_model", "mask model"),
-        (r"index\.position_model", "position model"),
-        (r"index\.entry", "entries of chunks"),
         (r"(chunk\[\d+\])\.", r"\1, head"),
         (r"((?:positions|masks|attributes)\[chunk \d+\])", r"\1"),
     )
@@ -68,10 +66,14 @@ def pieces(data: Bytes, outline: Outline) -> Iterator[MapPiece]:
     for place in outline.sections:
         kind, style = place.type.decode("latin-1"), _STYLES.get(place.type.decode("latin-1"), "ancillary")
         clauses = next((known for own, known in PARTS.values() if own == kind), "12.1")
-        inner = _many_chunks(data, outline, place) if place.type == DATA and chunks_per_piece(outline) else None
-        if inner is None and is_critical(place.type):
+        inner: Iterable[MapPiece] = ()
+        if place.type == INDEX:
+            inner = _index(outline, place)
+        elif place.type == DATA and chunks_per_piece(outline):
+            inner = _many_chunks(data, outline, place)
+        elif place.type in (WEIGHTS, PLANES_SECTION, DATA):
             inner = _parts(section_rows(data, outline, place), style)
-        yield MapPiece(place.name, (style, _clauses(clauses.split())), place.start, place.stop, tuple(inner or ()))
+        yield MapPiece(place.name, (style, _clauses(clauses.split())), place.start, place.stop, tuple(inner))
 
 
 def _parts(elements: Iterator[Element], style: str) -> Iterator[MapPiece]:
@@ -84,6 +86,17 @@ def _parts(elements: Iterator[Element], style: str) -> Iterator[MapPiece]:
         some = list(group)
         own = "headers" if key.endswith("head") else key.partition("[")[0] if key.endswith("]") else style
         yield MapPiece(key, (own, _clauses(meaning(some[0].path).clauses)), some[0].start, some[-1].end)
+
+
+def _index(outline: Outline, place: SectionPlace) -> Iterator[MapPiece]:
+    """Yields the models and the entries, of which there can be a million."""
+    k = outline.header.dimensions.offset_count
+    model, entries = place.start + pad4(k * (k + 1)), place.start + outline.entries_start
+    yield MapPiece("mask model", ("index", "5.11, 6.10, 7.6"), place.start, model)
+    if outline.index_mode:
+        yield MapPiece("position model", ("index", "5.12, 6.10, 7.12"), model, entries)
+    if place.end > entries:
+        yield MapPiece("entries of chunks", ("index", "5.13, 6.10"), entries, place.end)
 
 
 def _many_chunks(data: Bytes, outline: Outline, place: SectionPlace) -> Iterator[MapPiece]:
