@@ -63,8 +63,8 @@ def inspect(
     --near and --trace they are then rejected as by validate.
 
     --html decodes the file and, if it is accepted, writes a page that opens from disk and needs no network. The
-    page shows the file to scale, the size of each part beside that in the paper, the bits of each anchor over
-    the scene, symbols compared with the predictions of their models, planes, masks, and annotated bytes.
+    page shows the file to scale, the size of each part, the bits of each anchor over the scene, the bits of
+    symbols beside their entropy, planes, and annotated bytes.
 
     Args:
         decode: also decode the file, for its verdict and its digest.
