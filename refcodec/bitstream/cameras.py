@@ -72,7 +72,7 @@ class NamedCamera:
 
 def parse_cameras(content: bytes) -> tuple[list[NamedCamera], list[str]]:
     """SPEC 5.17 and 6.15: returns the valid cameras of a section, and its violations as text."""
-    found: list[NamedCamera] = []
+    valid: list[NamedCamera] = []
     problems: list[str] = []
     names: set[bytes] = set()
     number = 0
@@ -86,7 +86,7 @@ def parse_cameras(content: bytes) -> tuple[list[NamedCamera], list[str]]:
             # A later minor version may have added fields.
             if fields.length % 4 or not at + size <= end <= len(content):
                 problems.append(f"the length of camera {number} is {fields.length}, which is not what its fields take")
-                return found, problems
+                return valid, problems
             at = end
             camera, fault = _camera(fields)
             if fields.name in names:
@@ -97,13 +97,13 @@ def parse_cameras(content: bytes) -> tuple[list[NamedCamera], list[str]]:
             if camera is None or fault:
                 problems.append(f"camera {number}: {fault}")
             else:
-                found.append(camera)
+                valid.append(camera)
     except cs.ConstructError:
         problems.append(f"it ends within camera {number}")
     else:
         if at != len(content):
             problems.append(f"{len(content) - at} bytes follow the last camera")
-    return found, problems
+    return valid, problems
 
 
 def _camera(fields: Any) -> tuple[NamedCamera | None, str | None]:

@@ -62,12 +62,12 @@ def read_chunk(source: Source, entry: ChunkEntry, mode: int) -> CodedChunk:
     lengths = (h.position_length, h.mask_length, h.attribute_length)
     total = CHUNK_HEAD_BYTES + sum(map(pad4, lengths))
     if total != entry.length:
-        found = f"parts that take {total} bytes"
-        raise piece.error("chunk.length", 0, entry.path, found, entry.length)
+        stated = f"parts that take {total} bytes"
+        raise piece.error("chunk.length", 0, entry.path, stated, entry.length)
     raw = POSITION_BYTES * len(entry.anchors)
     if h.position_form == RAW and h.position_length != raw:
-        found = f"position_length {h.position_length}"
-        raise piece.error("chunk.length", 0, entry.path, found, f"{raw}, for {len(entry.anchors)} anchors")
+        stated = f"position_length {h.position_length}"
+        raise piece.error("chunk.length", 0, entry.path, stated, f"{raw}, for {len(entry.anchors)} anchors")
     # SPEC [R6.11-5]
     at, parts = CHUNK_HEAD_BYTES, []
     for name, length in zip(PARTS, lengths, strict=True):

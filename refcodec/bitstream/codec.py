@@ -70,14 +70,14 @@ def parse_ancillary(data: bytes) -> list[Ancillary]:
 
     Raises BitstreamError 101 to 305.
     """
-    source, found, after = WholeFile(data), [], 0
+    source, intact, after = WholeFile(data), [], 0
     for section in read_header(source).sections:
         if is_critical(section.type):
             after += 1
             continue
         with suppress(BitstreamError):
-            found.append(Ancillary(section.type, section.mode, read_section(source, section).data, after))
-    return found
+            intact.append(Ancillary(section.type, section.mode, read_section(source, section).data, after))
+    return intact
 
 
 def parse(
@@ -103,13 +103,13 @@ def parse(
     chunks: list[Chunk] = []
     damage: dict[int, BitstreamError] = {}
     progress("chunks", 0, len(index))
-    for number, found in enumerate(opened.chunks(side_by_side=True)):
-        if isinstance(found, Chunk):
-            chunks.append(found)
+    for number, outcome in enumerate(opened.chunks(side_by_side=True)):
+        if isinstance(outcome, Chunk):
+            chunks.append(outcome)
         elif keep_going:
-            damage[number] = found
+            damage[number] = outcome
         else:
-            raise found
+            raise outcome
         progress("chunks", number + 1, len(index))
     first = next(iter(damage.values()), None)
     try:
@@ -182,8 +182,8 @@ def _emit(scene: Scene, progress: Progress) -> bytes:
     bad = first_bad(scene.positions.view(np.uint16).reshape(-1))
     if bad is not None:
         name, first = bad
-        path, found = f"positions[{first // 3},{first % 3}]", scene.positions.reshape(-1)[first]
-        raise BitstreamError(name, 0, path, found, "finite numbers but -0")
+        path, value = f"positions[{first // 3},{first % 3}]", scene.positions.reshape(-1)[first]
+        raise BitstreamError(name, 0, path, value, "finite numbers but -0")
     coding = Coding(scene)
     make_native = partial(native_scene, used, d, lanes, coding.networks, scene.plane_shift, scene.carm_shift)
     if coding.sarm is not None:

@@ -90,8 +90,8 @@ def parse_directory(header: syntax.Struct, d: Dimensions, start: int) -> tuple[S
     critical = [(i, e) for i, e in entries if is_critical(e.type)]
     for i, e in critical:
         if e.type not in SECTIONS:
-            name, found = "directory.unknown_critical", e.type.decode("ascii")
-            raise header.error(name, f"directory[{i}].type", found, "a critical type of 6.6")
+            path, letters = f"directory[{i}].type", e.type.decode("ascii")
+            raise header.error("directory.unknown_critical", path, letters, "a critical type of 6.6")
     # SPEC [R6.6-3]
     wanted = critical_sections(d)
     for place, (i, e) in enumerate(critical):
@@ -152,8 +152,8 @@ def pass_section(source: Source, section: Section) -> None:
     if len(padding) < section.end - end:
         raise truncated(source, section.name, section.end)
     if crc != section.crc:
-        found = f"0x{section.crc:08x}"
-        raise BitstreamError("section.crc", section.start, section.name, found, f"0x{crc:08x}")
+        stated = f"0x{section.crc:08x}"
+        raise BitstreamError("section.crc", section.start, section.name, stated, f"0x{crc:08x}")
     padding.require_zero("section.padding", 0, len(padding), section.name)
 
 

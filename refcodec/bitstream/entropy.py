@@ -93,8 +93,8 @@ def parse_substream(piece: Piece, lanes: int, path: str) -> Substream:
     states = np.frombuffer(piece.data, "<u4", lanes, size).astype(np.uint32)
     if (states < STATE_MIN).any():
         lane = int(np.argmax(states < STATE_MIN))
-        found = f"state {states[lane]} of lane {lane}"
-        raise piece.error("substream.state", 0, path, found, f"at least {STATE_MIN}")
+        below = f"state {states[lane]} of lane {lane}"
+        raise piece.error("substream.state", 0, path, below, f"at least {STATE_MIN}")
     words = np.frombuffer(piece.data, "<u2", head.word_count, words_at).astype(np.uint16)
     return Substream(head.symbol_crc, states, words, piece.data[raw_at:], piece.start, path)
 
@@ -254,7 +254,7 @@ class Decoder:
         out = np.empty_like(index)
         # Items of a memoryview are Python integers, with which Python computes faster than with NumPy's.
         offset, first, lower, upper = models.offset.data, models.first.data, models.lower.data, models.upper.data
-        words, model, found = self.words.data, index.data, out.data
+        words, model, symbol = self.words.data, index.data, out.data
         for stream, (start, count) in enumerate(zip(layout.starts.tolist(), layout.counts.tolist(), strict=True)):
             state, at, end = self.state[stream].tolist(), int(self.word_at[stream]), int(self.word_end[stream])
             for i in range(start, start + count):
@@ -271,7 +271,7 @@ class Decoder:
                     x = x << 16 | words[min(at, end)]
                     at += 1
                 state[lane] = x
-                found[i] = position - base
+                symbol[i] = position - base
             self.state[stream], self.word_at[stream] = state, at
         return out
 
@@ -343,7 +343,7 @@ class Decoder:
 
     def _escapes(self, streams: list[int]) -> Int64:
         """SPEC 8.7: reads escapes and returns n of each, negative if the sign bit is set. streams: their substreams."""
-        raw, found = self.raw, []
+        raw, numbers = self.raw, []
         at, end, base = self.raw_at.tolist(), self.raw_end.tolist(), self.raw_base.tolist()
         for stream in streams:
             bit = min(at[stream], end[stream]) + base[stream]
@@ -358,9 +358,9 @@ class Decoder:
                 n = 1
                 self.bad_escape[stream] = True
                 at[stream] += 2 + ESCAPE_PREFIX_MAX
-            found.append(-n if window & 1 else n)
+            numbers.append(-n if window & 1 else n)
         self.raw_at[:] = at
-        return np.array(found, dtype=np.int64)
+        return np.array(numbers, dtype=np.int64)
 
     def values(self, group: ValueGroup) -> Int64:
         """SPEC 8.5: decodes a group, as Coder.values. Values past the limit become 0, and `finish` reports them."""

@@ -102,8 +102,7 @@ class Header:
 
     def section(self, kind: bytes) -> Section:
         """Returns the critical section of a type. Raises KeyError if the file has none."""
-        found = {section.type: section for section in self.sections}
-        return found[kind]
+        return {section.type: section for section in self.sections}[kind]
 
 
 # --- prologue ---------------------------------------------------------------------------------------------------------
@@ -116,14 +115,14 @@ def parse_prologue(data: bytes) -> tuple[int, int]:
     """
     # SPEC [R6.1-1]
     if len(data) < PROLOGUE_BYTES:
-        found = f"{len(data)} bytes"
-        raise BitstreamError("prologue.truncated", len(data), "prologue", found, f"at least {PROLOGUE_BYTES}")
+        content = f"{len(data)} bytes"
+        raise BitstreamError("prologue.truncated", len(data), "prologue", content, f"at least {PROLOGUE_BYTES}")
     prologue = syntax.Struct("Prologue", Piece(data[:PROLOGUE_BYTES], 0), 0, "prologue")
     p = prologue.fields
     # SPEC [R6.1-2]
     if p.signature != SIGNATURE:
-        found = _signature_text(p.signature)
-        raise prologue.error("prologue.signature", "signature", found, SIGNATURE.hex(" "))
+        content = _signature_text(p.signature)
+        raise prologue.error("prologue.signature", "signature", content, SIGNATURE.hex(" "))
     # SPEC [R6.1-3]: the CRC-32 comes before the version, because damage could have changed the version.
     crc = zlib.crc32(data[: PROLOGUE_BYTES - CRC_BYTES])
     if p.prologue_crc != crc:
@@ -139,9 +138,9 @@ def parse_prologue(data: bytes) -> tuple[int, int]:
     return int(p.minor), length
 
 
-def _signature_text(found: bytes) -> str:
-    hint = " (changed in transfer, as text or by 7-bit mail?)" if found[1:4] == SIGNATURE[1:4] else ""
-    return found.hex(" ") + hint
+def _signature_text(signature: bytes) -> str:
+    hint = " (changed in transfer, as text or by 7-bit mail?)" if signature[1:4] == SIGNATURE[1:4] else ""
+    return signature.hex(" ") + hint
 
 
 # --- header -----------------------------------------------------------------------------------------------------------

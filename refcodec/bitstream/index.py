@@ -118,8 +118,8 @@ def parse_index(
         raise _entry_error(section, first, table, int(np.argmax(wrong)), d.offset_count, chunk_size)
     # SPEC [R6.10-6]
     anchors, lengths = (table[name].astype(np.int64) for name in ("anchor_count", "length"))
-    for found, wanted, what in ((anchors, anchor_count, "anchors"), (lengths, data_length, "bytes")):
-        total = int(found.sum())
+    for column, wanted, what in ((anchors, anchor_count, "anchors"), (lengths, data_length, "bytes")):
+        total = int(column.sum())
         if total != wanted:
             raise section.error("index.length", 0, "index", f"entries of {total} {what}", f"{wanted} {what}")
     sums = [np.concatenate([np.zeros(1, np.int64), np.cumsum(each)]) for each in (lengths, anchors)]

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..native.library import Kernel, Verdict
+from ..native.library import Kernel, KernelVerdict
 from ..native.scene import ChunkBytes, NativeScene
 from .chunks import CodedChunk
 from .dimensions import RENDERING, Dimensions
@@ -89,12 +89,12 @@ def chunk_bytes(chunk: CodedChunk) -> ChunkBytes:
 _NAMES = {kind.code: kind.name for kind in REGISTRY.values()}
 
 
-def error_name(verdict: Verdict) -> str | None:
+def error_name(verdict: KernelVerdict) -> str | None:
     """Returns the name of the error that the kernel reported, or None."""
     return _NAMES[verdict.status] if verdict.status else None
 
 
-def substream_error(verdict: Verdict, piece: Piece, lanes: int, path: str) -> BitstreamError:
+def substream_error(verdict: KernelVerdict, piece: Piece, lanes: int, path: str) -> BitstreamError:
     """SPEC 8.1 and 8.8: returns the error of a substream that the kernel refused. piece, path: its bytes and name."""
     stream, before = open_substream(piece, lanes, path)
     return before or end_error(_NAMES[verdict.status], stream, *verdict.number)

@@ -34,9 +34,9 @@ _ALLOWED = {
 
 def parse_metadata(content: bytes) -> tuple[dict[str, str], list[str]]:
     """SPEC 5.16 and 6.14: returns the entries before the first syntax error, and the violations as text."""
-    found: dict[str, str] = {}
+    entries: dict[str, str] = {}
     if len(content) > SECTION_BYTES_MAX:
-        return found, [f"it has {len(content)} bytes, at most {SECTION_BYTES_MAX} are allowed"]
+        return entries, [f"it has {len(content)} bytes, at most {SECTION_BYTES_MAX} are allowed"]
     problems = []
     try:
         head, at = syntax.parse("Metadata", content)
@@ -54,7 +54,7 @@ def parse_metadata(content: bytes) -> tuple[dict[str, str], list[str]]:
             elif number and entry.key <= last:
                 problems.append(f"the key {key} does not come after the one before it")
             else:
-                found[key] = value
+                entries[key] = value
                 form = _VALUES.get(key)
                 if form and not form.fullmatch(value):
                     problems.append(f"the value of {key} is {value!r:.60}, {_ALLOWED[key]} is required")
@@ -66,7 +66,7 @@ def parse_metadata(content: bytes) -> tuple[dict[str, str], list[str]]:
     else:
         if at != len(content):
             problems.append(f"{len(content) - at} bytes follow the last entry")
-    return found, problems
+    return entries, problems
 
 
 def emit_metadata(entries: Mapping[str, str]) -> bytes:
@@ -88,11 +88,11 @@ def emit_metadata(entries: Mapping[str, str]) -> bytes:
 
 def metadata(sections: Iterable[Ancillary]) -> dict[str, str]:
     """Returns the entries of all metadata sections. If several have the same key, the first one counts."""
-    found: dict[str, str] = {}
+    entries: dict[str, str] = {}
     for section in sections:
         if section.type == METADATA and not section.mode:
-            found = {**parse_metadata(section.content)[0], **found}
-    return found
+            entries = {**parse_metadata(section.content)[0], **entries}
+    return entries
 
 
 def with_metadata(sections: tuple[Ancillary, ...], changes: Mapping[str, str]) -> tuple[Ancillary, ...]:

@@ -58,7 +58,7 @@ def derive_layer(weight: F32, bias: F32) -> IntLayer:
     """
     out = len(bias)
     w64, b64 = weight.astype(np.float64), bias.astype(np.float64)
-    found = np.full(out, -1, dtype=np.int64)
+    exponent = np.full(out, -1, dtype=np.int64)
     chosen_w = np.zeros(weight.shape, dtype=np.int64)
     chosen_b = np.zeros(out, dtype=np.int64)
     # The cut keeps values beyond the bound, which violate it anyway, within int64.
@@ -68,12 +68,12 @@ def derive_layer(weight: F32, bias: F32) -> IntLayer:
         w = np.floor(np.clip(w64 * 2.0**e, -cut, cut) + 0.5).astype(np.int64)
         b = np.floor(np.clip(b64 * 2.0**e, -cut, cut) + 0.5).astype(np.int64)
         worst = np.abs(w).sum(axis=1) * ACTIVATION_MAX + np.abs(b) + ((1 << e) >> 1)
-        fits = (found < 0) & (worst < ACCUMULATOR_BOUND) & (np.abs(w).max(axis=1, initial=0) <= WEIGHT_MAX)
-        found[fits] = e
+        fits = (exponent < 0) & (worst < ACCUMULATOR_BOUND) & (np.abs(w).max(axis=1, initial=0) <= WEIGHT_MAX)
+        exponent[fits] = e
         chosen_w[fits], chosen_b[fits] = w[fits], b[fits]
-    if (found < 0).any():
-        raise BoundError(int(np.argmax(found < 0)))
-    return IntLayer(chosen_w, chosen_b, found)
+    if (exponent < 0).any():
+        raise BoundError(int(np.argmax(exponent < 0)))
+    return IntLayer(chosen_w, chosen_b, exponent)
 
 
 class IntNetwork:
@@ -96,13 +96,13 @@ class IntNetwork:
 
         They are weights [in, out], biases plus the rounding term [out], and the units of outputs [out].
         """
-        found = []
+        floats = []
         for layer in self.layers:
             half = (np.int64(1) << layer.exponent) >> 1
             weight = np.ascontiguousarray(layer.weight.T.astype(np.float32))
             unit = np.ldexp(np.float32(1), -layer.exponent).astype(np.float32)
-            found.append((weight, (layer.bias + half).astype(np.float32), unit))
-        return found
+            floats.append((weight, (layer.bias + half).astype(np.float32), unit))
+        return floats
 
     def __call__(self, inputs: NDArray[np.signedinteger]) -> NDArray[np.int32]:
         """Returns the outputs, int32 [rows, out]. inputs: integers [rows, in], each in [-1023, 1023]."""
@@ -140,7 +140,7 @@ def derive_networks(networks: Mapping[str, list[Layer]], names: Container[str] |
 
     names: those of the networks, or None for F_h, SARM and CARM.
     """
-    found = {}
+    integers = {}
     for name, layers in networks.items():
         if name in RENDERING if names is None else name not in names:
             continue
@@ -150,8 +150,8 @@ def derive_networks(networks: Mapping[str, list[Layer]], names: Container[str] |
                 derived.append(derive_layer(*layer))
             except BoundError as error:
                 raise BoundError(error.row, f"{name}.{index}") from None
-        found[name] = IntNetwork(derived)
-    return found
+        integers[name] = IntNetwork(derived)
+    return integers
 
 
 def activation(a: Int64) -> Int64:
@@ -164,8 +164,8 @@ def mixed(rows: int, columns: int, bound: int) -> Int64:
 
     They are multiples of an odd number modulo 2^64. Importing NumPy's generators takes longer than the self-test.
     """
-    found = np.arange(1, rows * columns + 1, dtype=np.uint64) * np.uint64(0x9E3779B97F4A7C15) >> np.uint64(32)
-    return (found.astype(np.int64) % (2 * bound + 1) - bound).reshape(rows, columns)
+    numbers = np.arange(1, rows * columns + 1, dtype=np.uint64) * np.uint64(0x9E3779B97F4A7C15) >> np.uint64(32)
+    return (numbers.astype(np.int64) % (2 * bound + 1) - bound).reshape(rows, columns)
 
 
 def is_exact(product: Callable[[F32, F32], NDArray[Any]]) -> bool:

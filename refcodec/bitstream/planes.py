@@ -75,12 +75,12 @@ def parse_planes(
     try:
         table, size = syntax.parse("PlaneTable", section.data)
     except cs.ConstructError:
-        found, allowed = f"{len(section)} bytes", f"at least the table's {syntax.size_of('PlaneTable')}"
-        raise section.error("planes.length", 0, "planes", found, allowed) from None
+        allowed = f"at least the table's {syntax.size_of('PlaneTable')}"
+        raise section.error("planes.length", 0, "planes", f"{len(section)} bytes", allowed) from None
     starts = size + np.cumsum([0, *(pad4(length) for length in table.length)], dtype=np.int64)
     if starts[-1] != len(section):
-        found = f"a table that states {starts[-1]} bytes"
-        raise section.error("planes.length", 0, "planes.length", found, len(section))
+        stated = f"a table that states {starts[-1]} bytes"
+        raise section.error("planes.length", 0, "planes.length", stated, len(section))
     # SPEC [R6.9-2]
     spans = [(int(start), int(start) + length) for start, length in zip(starts, table.length, strict=False)]
     for name, (start, end) in zip(PLANE_NAMES, spans, strict=True):

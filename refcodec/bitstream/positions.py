@@ -130,8 +130,8 @@ def cell_positions(cell: Int64, cell_shift: int) -> tuple[F16, NDArray[np.bool_]
         bits = (e << 10) + (p >> e)
     fits &= bits < 0x7C00
     kept = np.asarray(fits.all(axis=1))
-    found = np.where(n < 0, bits | 0x8000, bits)
-    return np.where(kept[:, None], found, 0).astype(np.uint16).view(np.float16), kept
+    pattern = np.where(n < 0, bits | 0x8000, bits)
+    return np.where(kept[:, None], pattern, 0).astype(np.uint16).view(np.float16), kept
 
 
 def morton(cell: Int64) -> Int64:
@@ -283,7 +283,7 @@ def _packed(
     code, held = code_cells(decoder, model.models(), [chunk.number for chunk in chunks], counts)
     rows = np.minimum(held, counts)
     firsts = np.cumsum(rows) - rows
-    found: list[F16 | BitstreamError] = []
+    outcomes: list[F16 | BitstreamError] = []
     for i, (chunk, (_, before), after) in enumerate(zip(chunks, opened, decoder.finish(), strict=True)):
         error = before or after
         # SPEC [R6.11-8]
@@ -293,8 +293,8 @@ def _packed(
         positions, fits = decode_cells(code[firsts[i] : firsts[i] + rows[i]], model.cell_shift)
         if error is None and not fits.all():
             error = position_error(chunk, "positions.cell", int(np.argmin(fits)))
-        found.append(error or positions)
-    return found
+        outcomes.append(error or positions)
+    return outcomes
 
 
 def first_bad(bits: NDArray[np.uint16]) -> tuple[str, int] | None:

@@ -14,7 +14,7 @@ from itertools import accumulate
 import numpy as np
 from numpy.typing import NDArray
 
-from ..native.library import Verdict, kernel
+from ..native.library import KernelVerdict, kernel
 from ..native.scene import Anchors, NativeScene
 from .attributes import Attributes, EntropyModel, code_attributes, join_attributes
 from .batches import GROUP_ANCHORS, GROUP_CHUNKS, PartDecoder, Progress, no_progress, one_thread
@@ -264,20 +264,20 @@ class Opened:
         """
         self.reader.check_chunks(entries)
         section = self.header.section(INDEX)
-        found: dict[int, Chunk | BitstreamError] = {}
+        outcomes: dict[int, Chunk | BitstreamError] = {}
         live: list[CodedChunk] = []
         source = _ahead(self.reader.source, entries)
         for entry in entries:
             try:
                 live.append(read_chunk(source, entry, section.mode))
             except BitstreamError as error:
-                found[entry.number] = error
+                outcomes[entry.number] = error
         if self.native is None:
             with one_thread():
-                found.update(self._decode(live))
+                outcomes.update(self._decode(live))
         else:
-            found.update(self._decode_native(self.native, live))
-        return [found[entry.number] for entry in entries]
+            outcomes.update(self._decode_native(self.native, live))
+        return [outcomes[entry.number] for entry in entries]
 
     def _decode_native(self, native: NativeScene, chunks: list[CodedChunk]) -> dict[int, Chunk | BitstreamError]:
         """Decodes some chunks with the native kernel."""
@@ -286,17 +286,17 @@ class Opened:
             *rows, count = accumulate((len(chunk.entry.anchors) for chunk in chunks), initial=0)
             a = native.room(count)
         verdicts = native.decode_chunks([chunk_bytes(chunk) for chunk in chunks], a, rows)
-        found: dict[int, Chunk | BitstreamError] = {}
+        outcomes: dict[int, Chunk | BitstreamError] = {}
         for chunk, first, verdict in zip(chunks, rows, verdicts, strict=True):
             own = slice(first, first + len(chunk.entry.anchors))
             attributes = Attributes(a.features[own], a.scalings[own], a.offsets[own], a.steps[own])
-            found[chunk.entry.number] = self._native_error(chunk, verdict, a.positions[own]) or Chunk(
+            outcomes[chunk.entry.number] = self._native_error(chunk, verdict, a.positions[own]) or Chunk(
                 chunk.entry, chunk.form, a.positions[own], a.masks[own], attributes
             )
-        return found
+        return outcomes
 
     def _native_error(
-        self, chunk: CodedChunk, verdict: Verdict, positions: NDArray[np.float16]
+        self, chunk: CodedChunk, verdict: KernelVerdict, positions: NDArray[np.float16]
     ) -> BitstreamError | None:
         """Returns the error of a chunk that the kernel refused, or None. positions: float16 [n, 3], as decoded."""
         name, lanes = error_name(verdict), self.header.lanes
@@ -321,13 +321,13 @@ class Opened:
     def _decode(self, chunks: list[CodedChunk]) -> dict[int, Chunk | BitstreamError]:
         """Decodes some chunks with NumPy."""
         h, trace = self.header, self.reader.trace
-        found: dict[int, Chunk | BitstreamError] = {}
+        outcomes: dict[int, Chunk | BitstreamError] = {}
         live = list(chunks)
 
         def settle(errors: list[BitstreamError | None]) -> NDArray[np.bool_]:
             """Drops the chunks with an error. Returns which rows of anchors remain, bool [anchors]."""
             nonlocal live
-            found.update({c.entry.number: e for c, e in zip(live, errors, strict=True) if e is not None})
+            outcomes.update({c.entry.number: e for c, e in zip(live, errors, strict=True) if e is not None})
             rows = np.repeat([e is None for e in errors], [len(c.entry.anchors) for c in live])
             live = [c for c, e in zip(live, errors, strict=True) if e is None]
             return rows
@@ -342,7 +342,7 @@ class Opened:
         settle(bounds)
         good = [p for p, error in zip(good, bounds, strict=True) if error is None]
         if not live:
-            return found
+            return outcomes
         positions = np.concatenate(good)
         # The masks, and [R6.11-11].
         part = PartDecoder([(c.masks, f"masks[chunk {c.entry.number}]") for c in live], 1 << h.lanes.mask, trace)
@@ -357,7 +357,7 @@ class Opened:
         )
         positions, masks = positions[rows], masks[rows]
         if not live:
-            return found
+            return outcomes
         # The attributes.
         ranges = [chunk.entry.anchors for chunk in live]
         contexts = context(self.frame, self.joined, self.weights.plane_shift, h.dimensions.frequency_count, positions)
@@ -372,10 +372,10 @@ class Opened:
             own = slice(at, at + len(chunk.entry.anchors))
             at = own.stop
             attributes = Attributes(a.features[own], a.scalings[own], a.offsets[own], a.steps[own])
-            found[chunk.entry.number] = verdict or Chunk(
+            outcomes[chunk.entry.number] = verdict or Chunk(
                 chunk.entry, chunk.form, positions[own], masks[own], attributes
             )
-        return found
+        return outcomes
 
     def scene(self, chunks: list[Chunk]) -> Scene:
         """Returns the scene with the anchors of some chunks, and with the ancillary sections read so far."""
@@ -434,8 +434,8 @@ def _bounds_error(chunk: CodedChunk, positions: NDArray[np.float16]) -> Bitstrea
     low, high = positions.min(axis=0), positions.max(axis=0)
     if np.array_equal(low, e.low) and np.array_equal(high, e.high):
         return None
-    found = f"positions from {low.tolist()} to {high.tolist()}"
-    return BitstreamError("chunk.bounds", e.start, e.path, found, f"{e.low.tolist()} to {e.high.tolist()}")
+    box = f"positions from {low.tolist()} to {high.tolist()}"
+    return BitstreamError("chunk.bounds", e.start, e.path, box, f"{e.low.tolist()} to {e.high.tolist()}")
 
 
 def _kept_error(chunk: CodedChunk, kept: int) -> BitstreamError | None:
@@ -454,7 +454,7 @@ def decode_chunk(source: Source, number: int, *, limits: Limits | None = None) -
     index = opened.index
     if not 0 <= number < len(index):
         raise IndexError(f"there is no chunk {number}: the file has {len(index)}")
-    found = opened.decode([index[number]])[0]
-    if isinstance(found, BitstreamError):
-        raise found
-    return opened.scene([found])
+    chunk = opened.decode([index[number]])[0]
+    if isinstance(chunk, BitstreamError):
+        raise chunk
+    return opened.scene([chunk])

@@ -57,13 +57,13 @@ class Reconstruction:
 def world_positions(scene: Scene) -> F32:
     """SPEC 9.1, WORLD: returns the world positions of the anchors, float32 [N, 3]."""
     grid, origin = scene.grid, np.array(scene.grid.origin, dtype=np.int64)
-    found = np.empty(scene.positions.shape, np.float32)
+    positions = np.empty(scene.positions.shape, np.float32)
     # Blocks bound the memory for the integers.
-    for first in range(0, len(found), GROUP_ANCHORS):
+    for first in range(0, len(positions), GROUP_ANCHORS):
         rows = slice(first, first + GROUP_ANCHORS)
         integers = origin + grid.scale_mantissa * position_integers(scene.positions[rows])
-        found[rows] = round_to_f32(integers, grid.scale_exponent - 24)
-    return found
+        positions[rows] = round_to_f32(integers, grid.scale_exponent - 24)
+    return positions
 
 
 def step_values(base_step: float) -> F32:
@@ -94,8 +94,8 @@ def dequantise(
 def reconstruct(scene: Scene) -> Reconstruction:
     """SPEC 9.1 and 9.2: returns the float32 values of a scene. Raises UsageError as refcodec.native.library says."""
     a, used = scene.attributes, kernel()
-    found = [dequantise(getattr(a, kind), a.steps[:, i], scene.base_step[i], used) for i, kind in enumerate(KINDS)]
-    return Reconstruction(world_positions(scene), *found)
+    attributes = [dequantise(getattr(a, kind), a.steps[:, i], scene.base_step[i], used) for i, kind in enumerate(KINDS)]
+    return Reconstruction(world_positions(scene), *attributes)
 
 
 def _little(values: NDArray[Any], kind: str) -> bytes:
@@ -119,14 +119,14 @@ def anchor_parts(scene: Scene, r: Reconstruction, rendering: Rendering | None = 
 
     r: their values. rendering: as for gaussians.
     """
-    found = {
+    parts = {
         "positions": _little(r.positions, "<f4"),
         "masks": _little(scene.masks, "u1"),
         **{kind: _little(getattr(r, kind), "<f4") for kind in KINDS},
     }
     if scene.render.render_model == STATIC:
-        found[SPLAT] = _little(gaussians(scene, r, rendering), "<f4")
-    return found
+        parts[SPLAT] = _little(gaussians(scene, r, rendering), "<f4")
+    return parts
 
 
 def gaussians(scene: Scene, r: Reconstruction | None = None, rendering: Rendering | None = None) -> F32:
@@ -141,13 +141,13 @@ def gaussians(scene: Scene, r: Reconstruction | None = None, rendering: Renderin
         layers = [(each.weight, each.bias, each.exponent) for name in RENDERING for each in networks[name].layers]
         return splats(used, layers, r.positions, scene.masks, r.features, r.scalings, r.offsets)
     place = np.concatenate([[0], np.cumsum(scene.masks.sum(axis=1))])
-    found = np.empty((int(place[-1]), HARMONICS.start + scene.dimensions.colour_outputs), np.float32)
+    floats = np.empty((int(place[-1]), HARMONICS.start + scene.dimensions.colour_outputs), np.float32)
     # The integers of a block stay in the cache, and take little memory.
     for first in range(0, scene.anchor_count, SPLAT_ANCHORS):
         rows = slice(first, min(first + SPLAT_ANCHORS, scene.anchor_count))
         values = r.positions[rows], r.features[rows], r.scalings[rows], r.offsets[rows]
-        found[place[rows.start] : place[rows.stop]] = splat(networks, *values, scene.masks[rows])
-    return found
+        floats[place[rows.start] : place[rows.stop]] = splat(networks, *values, scene.masks[rows])
+    return floats
 
 
 def weight_part(scene: Scene) -> bytes:

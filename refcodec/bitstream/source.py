@@ -94,11 +94,11 @@ class WholeFile:
 
 def read_up_to(file: Readable, size: int) -> bytes:
     """Returns `size` bytes of a file from its position, or fewer if it ends before. Raises OSError."""
-    found = file.read(size)
+    data = file.read(size)
     # A read of a socket or a raw file may return fewer bytes than it could.
-    while len(found) < size and (more := file.read(size - len(found))):
-        found += more
-    return found
+    while len(data) < size and (more := file.read(size - len(data))):
+        data += more
+    return data
 
 
 class StoredFile:
@@ -145,9 +145,9 @@ class Arriving:
             self._held += block
             self._pass(start)
         self._pass(start)
-        found = bytes(self._held[:size])
-        self._pass(start + len(found))
-        return found
+        data = bytes(self._held[:size])
+        self._pass(start + len(data))
+        return data
 
     def _pass(self, to: int) -> None:
         passed = min(to - self._start, len(self._held))

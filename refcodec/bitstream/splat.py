@@ -34,8 +34,8 @@ def _fixed(values: F32, bits: int, bound: int) -> Int64:
     limit = bound / 2.0**bits + 1
     # Exact in float64: a 24-bit significand below 2^24, times a power of two, plus 1/2.
     scaled = np.floor(np.clip(values.astype(np.float64), -limit, limit) * 2.0**bits + 0.5)
-    found: Int64 = np.clip(scaled, -bound, bound).astype(np.int64)
-    return found
+    fixed: Int64 = np.clip(scaled, -bound, bound).astype(np.int64)
+    return fixed
 
 
 def exponential(t: Int64) -> tuple[Int64, Int64]:

@@ -61,10 +61,10 @@ def decoded_chunks(
     opened = reader.open(critical_only=numbers is not None)
     check_numbers(numbers, len(opened.index))
     for entries in opened.groups(numbers, side_by_side=side_by_side):
-        for entry, found in zip(entries, opened.decode(entries), strict=True):
-            if isinstance(found, BitstreamError):
-                raise found
-            scene = opened.scene([found])
+        for entry, outcome in zip(entries, opened.decode(entries), strict=True):
+            if isinstance(outcome, BitstreamError):
+                raise outcome
+            scene = opened.scene([outcome])
             yield DecodedChunk(entry.number, entry.anchors.start, scene, reconstruct(scene))
     if numbers is None:
         opened.close()
@@ -98,13 +98,13 @@ def pieces(
     progress("chunks", 0, total)
     for entries in opened.groups(numbers):
         good: list[Chunk] = []
-        for entry, found in zip(entries, opened.decode(entries), strict=True):
-            if isinstance(found, Chunk):
-                good.append(found)
+        for entry, outcome in zip(entries, opened.decode(entries), strict=True):
+            if isinstance(outcome, Chunk):
+                good.append(outcome)
             elif damage is None:
-                raise found
+                raise outcome
             else:
-                damage[entry.number] = found
+                damage[entry.number] = outcome
         done += len(entries)
         yield opened.scene(good)
         progress("chunks", done, total)
@@ -135,8 +135,8 @@ def stated_bytes(file: Readable, check: Callable[[Header], None]) -> bytes:
     header = read_header(beginning)
     check(header)
     # The header is untrusted: its lengths may exceed the file and the memory.
-    found = io.BytesIO(beginning.held)
-    left = header.sections[-1].end + 1 - found.seek(0, io.SEEK_END)
+    whole = io.BytesIO(beginning.held)
+    left = header.sections[-1].end + 1 - whole.seek(0, io.SEEK_END)
     while left > 0 and (block := file.read(min(left, _BLOCK_BYTES))):
-        left -= found.write(block)
-    return found.getvalue()
+        left -= whole.write(block)
+    return whole.getvalue()

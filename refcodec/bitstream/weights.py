@@ -140,7 +140,7 @@ def code_grids(
             [part for g in given for part in (g.difference, g.bias)],
             [g.weight.reshape(-1) for g in given],
         )]  # fmt: skip
-    found = []
+    grids = []
     families = (tables().laplace, tables().gauss)
     for models, parts, scale, values in zip(families, _parts(shapes), _scales(shapes, scales), known, strict=True):
         ends = np.cumsum([0, *(count for _, count in parts)])
@@ -151,8 +151,8 @@ def code_grids(
 
         each = scale.astype(np.int64) + SCALE_MIN
         mean, counts = np.zeros(len(each), np.int64), [len(each)]
-        found.append(coder.values(ValueGroup(models, mean, each, counts, WEIGHT_SYMBOL_MAX, name, values)))
-    return _by_layer(shapes, found)
+        grids.append(coder.values(ValueGroup(models, mean, each, counts, WEIGHT_SYMBOL_MAX, name, values)))
+    return _by_layer(shapes, grids)
 
 
 def _parts(shapes: list[tuple[str, int, int]]) -> tuple[list[tuple[str, int]], list[tuple[str, int]]]:
@@ -185,11 +185,11 @@ def _decode(
     """SPEC 7.13: returns the result of code_grids. piece: the substream. Raises its BitstreamError."""
     if used is None:
         decoder = Decoder([parse_substream(piece, lanes, "weights")], trace)
-        found = code_grids(decoder, shapes, scales)
+        grids = code_grids(decoder, shapes, scales)
         error = decoder.finish()[0]
         if error:
             raise error
-        return found
+        return grids
     few, many = _scales(shapes, scales)
     symbols, verdict = weight_symbols(used, tables_bytes(), piece.data, lanes, np.concatenate([few, many]), len(few))
     if verdict.status:
@@ -317,13 +317,13 @@ def _parse_packed(
             layers.append(_as_layer(raw[name], out, fan_in))
             continue
         (difference, bias), weight = grids[i]
-        found = from_grid(GridLayer(models[i].exponent, difference, weight, bias))
+        layer = from_grid(GridLayer(models[i].exponent, difference, weight, bias))
         # SPEC [R6.8-8]
-        if found is None:
+        if layer is None:
             raise BitstreamError(
                 "weights.exponent", starts[name], f"weights.{name}", "an exponent of a row", "the least one"
             )
-        layers.append(found)
+        layers.append(layer)
     forms = np.array([m.form for m in models], dtype=np.uint8)
     return ParsedWeights(plane_shift, carm_shift, _regrouped(d, layers), scales, forms, starts)
 

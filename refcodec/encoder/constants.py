@@ -60,27 +60,27 @@ def choose_constants(symbols: Int64, mean: Int64, scale: Int64) -> tuple[int, in
         return 0, 0
     rest = symbols - mean / 16
     spread = np.log2(max(float(rest.std()), 2.0**-5)) - float(scale.mean()) / 8
-    found = (round(16 * float(rest.mean())), round(8 * spread))
-    best = code_length(mean + found[0], scale + found[1], symbols)
+    chosen = (round(16 * float(rest.mean())), round(8 * spread))
+    best = code_length(mean + chosen[0], scale + chosen[1], symbols)
 
     def better(moves: Iterable[tuple[int, int]]) -> bool:
         """Makes the best of some moves. Returns whether one saved bits."""
-        nonlocal found, best
-        first = found
+        nonlocal chosen, best
+        first = chosen
         for by_mean, by_scale in moves:
             tried = first[0] + by_mean, first[1] + by_scale
             if SCALE_MIN - SCALE_MOST <= tried[1] <= SCALE_MOST:
                 bits = code_length(mean + tried[0], scale + tried[1], symbols)
                 if bits < best:
-                    found, best = tried, bits
-        return found != first
+                    chosen, best = tried, bits
+        return chosen != first
 
     for move in MOVES:
         while better(((move, 0), (-move, 0), (0, move), (0, -move))):
             pass
     better((by, 0) for by in range(-8, 9))
     better((0, by) for by in range(-4, 5))
-    return found
+    return chosen
 
 
 def with_constants(scene: Scene, slices: tuple[int, ...]) -> Scene | None:
@@ -109,7 +109,7 @@ def with_constants(scene: Scene, slices: tuple[int, ...]) -> Scene | None:
     means, scales = _constants(scene, rows, alone)
     bias = np.concatenate([means, scales, a.steps[0]]).astype(np.float32)
     networks = {**scene.networks, "hyper": [(np.zeros((len(bias), 0), np.float32), bias)]}
-    found = replace(
+    coded = replace(
         scene,
         dimensions=dimensions,
         frame=None,
@@ -121,9 +121,9 @@ def with_constants(scene: Scene, slices: tuple[int, ...]) -> Scene | None:
         position_forms=None,
     )
     if scene.weight_scales is not None:
-        found = pack_weights(replace(found, weight_scales=None))
-    assert np.array_equal(derive_steps(found), a.steps)
-    return found
+        coded = pack_weights(replace(coded, weight_scales=None))
+    assert np.array_equal(derive_steps(coded), a.steps)
+    return coded
 
 
 def _constants(scene: Scene, rows: Int64, alone: bool) -> tuple[list[int], list[int]]:
@@ -134,8 +134,8 @@ def _constants(scene: Scene, rows: Int64, alone: bool) -> tuple[list[int], list[
     if not alone:
         model, done = Coding(scene).model, d.slices[0]
         for index, columns in enumerate(d.slices[1:], start=1):
-            found = np.split(model.carm_correction(index, features[:, :done]), 2, axis=1)
-            change[:, :, done : done + columns] = np.stack(found)
+            correction = np.split(model.carm_correction(index, features[:, :done]), 2, axis=1)
+            change[:, :, done : done + columns] = np.stack(correction)
             done += columns
     nothing = np.zeros(len(rows), np.int64)
     columns_of: list[tuple[NDArray[np.int64], Int64, Int64]] = [
@@ -159,7 +159,7 @@ def smallest(scene: Scene, positions: str | None = None) -> Scene:
     choices = [d.slices]
     if len(d.slices) > 1 and d.features <= PROFILES[scene.profile].slice_width[1]:
         choices.append((d.features,))
-    found = [scene, *(made for made in (with_constants(scene, slices) for slices in choices) if made is not None)]
+    scenes = [scene, *(made for made in (with_constants(scene, slices) for slices in choices) if made is not None)]
     if positions is None and scene.anchor_count <= FEW:
-        found += [replace(one, position_model=None, position_forms=None) for one in found if one.position_model]
-    return found[0] if len(found) == 1 else min(found, key=lambda one: len(emit(one)))
+        scenes += [replace(one, position_model=None, position_forms=None) for one in scenes if one.position_model]
+    return scenes[0] if len(scenes) == 1 else min(scenes, key=lambda one: len(emit(one)))

@@ -112,11 +112,11 @@ def frequencies(counts: Int64, first: int) -> Int64:
     counts: int64 [symbols], occurrences of each symbol. first: the first possible symbol; from there on no frequency is
     0. The most frequent symbol absorbs the rounding difference.
     """
-    found = np.zeros(len(counts), dtype=np.int64)
+    frequency = np.zeros(len(counts), dtype=np.int64)
     seen = counts[first:] if counts[first:].any() else np.ones(len(counts) - first, dtype=np.int64)
-    found[first:] = np.maximum(seen * TOTAL // seen.sum(), 1)
-    found[np.argmax(found)] += TOTAL - found.sum()
-    return found
+    frequency[first:] = np.maximum(seen * TOTAL // seen.sum(), 1)
+    frequency[np.argmax(frequency)] += TOTAL - frequency.sum()
+    return frequency
 
 
 def position_model(positions: NDArray[np.float16], chunk_size: int) -> PositionModel:

@@ -21,13 +21,13 @@ def choose_slices(features: int, shares: tuple[int, ...] = SLICES) -> tuple[int,
     Few features have fewer slices than shares. features: F, from 1 to 128. With more than 64, a slice may be too wide
     for Main.
     """
-    total, done, found = sum(shares), 0, []
+    total, done, slices = sum(shares), 0, []
     for end in accumulate(shares):
         columns = round(features * end / total) - done
         if columns > 0:
-            found.append(columns)
+            slices.append(columns)
             done += columns
-    return tuple(found)
+    return tuple(slices)
 
 
 def choose_plane_size(anchors: int) -> int:

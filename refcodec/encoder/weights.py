@@ -23,16 +23,16 @@ def exact_networks(networks: Mapping[str, list[Layer]]) -> dict[str, list[Layer]
     Their values become the integers of 7.2 divided by a power of two. The outputs of these networks do not change, nor
     do the rendering networks. Raises BoundError.
     """
-    found = dict(networks)
+    exact = dict(networks)
     for name, network in derive_networks(networks).items():
-        found[name] = [
+        exact[name] = [
             (
                 np.ldexp(layer.weight.astype(np.float32), -layer.exponent[:, None]).astype(np.float32),
                 np.ldexp(layer.bias.astype(np.float32), -layer.exponent).astype(np.float32),
             )
             for layer in network.layers
         ]
-    return found
+    return exact
 
 
 def rendering_exponent(weight: F32, bits: int) -> int:
@@ -50,16 +50,16 @@ def quantise_rendering(networks: Mapping[str, list[Layer]], bits: int) -> dict[s
     The weights and biases of a layer become multiples of the least power of two for which no weight needs more than
     `bits` bits, including the sign. bits: 2 to 24.
     """
-    found = dict(networks)
+    on_grids = dict(networks)
     for name in RENDERING:
-        found[name] = []
+        on_grids[name] = []
         for weight, bias in networks[name]:
             e = rendering_exponent(weight, bits)
             on_grid = [
                 np.ldexp(np.rint(np.ldexp(value, e)) + np.float32(0), -e).astype(np.float32) for value in (weight, bias)
             ]
-            found[name].append((on_grid[0], on_grid[1]))
-    return found
+            on_grids[name].append((on_grid[0], on_grid[1]))
+    return on_grids
 
 
 def weight_scales(networks: Mapping[str, list[Layer]]) -> NDArray[np.uint8]:
@@ -68,17 +68,17 @@ def weight_scales(networks: Mapping[str, list[Layer]]) -> NDArray[np.uint8]:
     def index(scale: float) -> int:
         return min(max(round(8 * math.log2(scale)) - SCALE_MIN, 0), 255) if scale else 0
 
-    found = []
+    indices = []
     for grid in (to_grid(layer) for layers in networks.values() for layer in layers):
         if grid is None:
-            found.append((0, 0, 0))
+            indices.append((0, 0, 0))
             continue
         # F_h without inputs has no weights.
         spread = math.sqrt(float(np.square(grid.weight, dtype=np.float64).mean())) if grid.weight.size else 0.0
-        found.append(
+        indices.append(
             (index(float(np.abs(grid.difference).mean())), index(spread), index(float(np.abs(grid.bias).mean())))
         )
-    return np.array(found, dtype=np.uint8)
+    return np.array(indices, dtype=np.uint8)
 
 
 def pack_weights(scene: Scene) -> Scene:

@@ -36,7 +36,7 @@ def _fields(kind: Any, names: str) -> list[tuple[str, Any]]:
     return [(name, kind) for name in names.split()]
 
 
-class Description(ctypes.Structure):
+class KernelDescription(ctypes.Structure):
     """kernel.h: kernel_description."""
 
     _fields_ = (
@@ -48,13 +48,13 @@ class Description(ctypes.Structure):
     )
 
 
-class Verdict(ctypes.Structure):
+class KernelVerdict(ctypes.Structure):
     """kernel.h: kernel_verdict."""
 
     _fields_ = (("status", ctypes.c_int32), ("part", ctypes.c_int32), ("number", ctypes.c_int64 * NUMBERS))
 
 
-class Chunk(ctypes.Structure):
+class KernelChunk(ctypes.Structure):
     """kernel.h: kernel_chunk."""
 
     _fields_ = (
@@ -66,7 +66,7 @@ class Chunk(ctypes.Structure):
         ("low", ctypes.c_uint16 * 3),
         ("high", ctypes.c_uint16 * 3),
         ("form", ctypes.c_int32),
-        ("verdict", Verdict),
+        ("verdict", KernelVerdict),
     )
 
 
@@ -78,7 +78,7 @@ _FUNCTIONS = {
     "kernel_variant_runs": (_INT32, [_INT32]),
     "kernel_tables_new": (Pointer, [ctypes.c_char_p, _UINT64]),
     "kernel_tables_free": (None, [Pointer]),
-    "kernel_scene_new": (Pointer, [ctypes.POINTER(Description), Pointer, _INT32]),
+    "kernel_scene_new": (Pointer, [ctypes.POINTER(KernelDescription), Pointer, _INT32]),
     "kernel_scene_free": (None, [Pointer]),
     "kernel_decode_weights": (
         None,
@@ -135,13 +135,13 @@ def paths() -> list[str]:
 
 def threads() -> int:
     """Returns the number of threads of the kernel. Raises UsageError for an invalid number."""
-    said = os.environ.get(THREADS_VARIABLE)
-    if not said:
+    text = os.environ.get(THREADS_VARIABLE)
+    if not text:
         cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
         return min(cores, THREADS_MAX)
-    if not (said.isascii() and said.isdigit() and 1 <= int(said[:4]) <= THREADS_MAX and len(said) <= 4):
-        raise UsageError(f"{THREADS_VARIABLE} is {said!a}; it may be 1 to {THREADS_MAX}")
-    return int(said)
+    if not (text.isascii() and text.isdigit() and 1 <= int(text[:4]) <= THREADS_MAX and len(text) <= 4):
+        raise UsageError(f"{THREADS_VARIABLE} is {text!a}; it may be 1 to {THREADS_MAX}")
+    return int(text)
 
 
 def kernel() -> Kernel | None:
@@ -152,8 +152,8 @@ def kernel() -> Kernel | None:
         raise UsageError(f"{PATH_VARIABLE} is {wanted!a}; on this machine it must be one of {there}")
     if library is None or wanted == NUMPY:
         return None
-    found = list(variants(library))
-    number, name = found[-1] if not wanted or wanted == NATIVE else next(v for v in found if v[1] == wanted)
+    built = list(variants(library))
+    number, name = built[-1] if not wanted or wanted == NATIVE else next(v for v in built if v[1] == wanted)
     return Kernel(library, name, number, count)
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .library import NO_MEMORY, PLANES, REFUSED, Chunk, Description, Kernel, Verdict
+from .library import NO_MEMORY, PLANES, REFUSED, Kernel, KernelChunk, KernelDescription, KernelVerdict
 
 Layers = list[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]]
 
@@ -64,10 +64,10 @@ def _joined(layers: Layers) -> list[NDArray[Any]]:
 @cache
 def _tables(kernel: Kernel, file: bytes) -> int:
     """Returns the kernel's tables from the shipped file. They are kept until the process ends."""
-    found = kernel.library.kernel_tables_new(file, len(file))
-    if not found:
+    tables = kernel.library.kernel_tables_new(file, len(file))
+    if not tables:
         raise MemoryError("no memory for the tables of the native kernel")
-    return int(found)
+    return int(tables)
 
 
 class NativeScene:
@@ -76,10 +76,10 @@ class NativeScene:
     def __init__(
         self, kernel: Kernel, tables: bytes, numbers: dict[str, Any], layers: Layers, arrays: dict[str, NDArray[Any]]
     ) -> None:
-        """numbers: the fields of Description that are not pointers. slice_width is a tuple.
+        """numbers: the fields of KernelDescription that are not pointers. slice_width is a tuple.
 
         tables: the shipped file. layers: for each layer of F_h, SARM and CARM, weights, biases and exponents, int64.
-        arrays: the other pointers of Description, with the dtypes of kernel.h. Missing ones are NULL. Raises
+        arrays: the other pointers of KernelDescription, with the dtypes of kernel.h. Missing ones are NULL. Raises
         MemoryError, and RuntimeError for numbers that the kernel does not accept.
         """
         self.kernel = kernel
@@ -91,22 +91,22 @@ class NativeScene:
             **{name: np.ascontiguousarray(array) for name, array in arrays.items()},
         }
         fields = {name: value for name, value in numbers.items() if name != "slice_width"}
-        description = Description(**fields, **{name: _address(array) for name, array in held.items()})
+        description = KernelDescription(**fields, **{name: _address(array) for name, array in held.items()})
         for i, width in enumerate(numbers["slice_width"]):
             description.slice_width[i] = width
-        found = kernel.library.kernel_scene_new(ctypes.byref(description), _tables(kernel, tables), kernel.variant)
-        if not found:
+        scene = kernel.library.kernel_scene_new(ctypes.byref(description), _tables(kernel, tables), kernel.variant)
+        if not scene:
             raise RuntimeError("the native kernel refused a scene that SPEC.md allows: please report this bug")
-        self._scene = found
-        weakref.finalize(self, kernel.library.kernel_scene_free, found)
+        self._scene = scene
+        weakref.finalize(self, kernel.library.kernel_scene_free, scene)
 
-    def decode_planes(self, parts: list[bytes]) -> tuple[NDArray[np.int16], list[Verdict]]:
+    def decode_planes(self, parts: list[bytes]) -> tuple[NDArray[np.int16], list[KernelVerdict]]:
         """SPEC 7.3: returns the sub-planes, int16 [5, ch, B, B], and the verdict on each."""
         planes = np.empty((PLANES, self._channels, self._size, self._size), np.int16)
         held = [np.frombuffer(part, np.uint8) for part in parts]
         pointers = (ctypes.c_void_p * PLANES)(*(array.ctypes.data for array in held))
         lengths = (ctypes.c_uint64 * PLANES)(*map(len, parts))
-        verdicts = (Verdict * PLANES)()
+        verdicts = (KernelVerdict * PLANES)()
         self.kernel.library.kernel_decode_planes(
             self._scene, pointers, lengths, planes.ctypes.data, verdicts, self.kernel.threads
         )
@@ -116,7 +116,7 @@ class NativeScene:
         """SPEC 7.3: returns the substreams of sub-planes, int16 [5, ch, B, B], with valid symbols."""
         given = np.ascontiguousarray(planes)
         pointers, lengths = (ctypes.c_void_p * PLANES)(), (ctypes.c_uint64 * PLANES)()
-        verdicts = (Verdict * PLANES)()
+        verdicts = (KernelVerdict * PLANES)()
         self.kernel.library.kernel_encode_planes(
             self._scene, given.ctypes.data, pointers, lengths, verdicts, self.kernel.threads
         )
@@ -140,12 +140,12 @@ class NativeScene:
             np.empty((n, 3), np.uint8),
         )
 
-    def decode_chunks(self, chunks: list[ChunkBytes], to: Anchors, rows: list[int]) -> list[Verdict]:
+    def decode_chunks(self, chunks: list[ChunkBytes], to: Anchors, rows: list[int]) -> list[KernelVerdict]:
         """SPEC 10.1, CHUNKS: decodes some chunks, and returns the verdict on each.
 
         to: arrays of `room`. rows: the row of each chunk's first anchor in them. The chunks do not overlap.
         """
-        jobs, held = (Chunk * len(chunks))(), []
+        jobs, held = (KernelChunk * len(chunks))(), []
         for job, chunk, first in zip(jobs, chunks, rows, strict=True):
             if not 0 <= first <= len(to.positions) - chunk.anchors:
                 raise ValueError(f"{chunk.anchors} anchors from row {first} on do not fit {len(to.positions)} rows")
@@ -170,7 +170,7 @@ class NativeScene:
         chunk. forms: None to pack the positions of every chunk whose positions can be packed.
         """
         held = Anchors(*(np.ascontiguousarray(array) for array in vars(anchors).values()))
-        jobs, first = (Chunk * len(counts))(), 0
+        jobs, first = (KernelChunk * len(counts))(), 0
         for i, (job, count) in enumerate(zip(jobs, counts, strict=True)):
             job.form = -1 if forms is None else forms[i]
             self._place(job, held, first, count)
@@ -181,7 +181,7 @@ class NativeScene:
         return [(job.form, (own[0], own[1], own[2])) for job, own in zip(jobs, parts, strict=True)], statuses
 
     @staticmethod
-    def _place(job: Chunk, anchors: Anchors, first: int, count: int) -> None:
+    def _place(job: KernelChunk, anchors: Anchors, first: int, count: int) -> None:
         """Sets a chunk's array pointers to its rows of `anchors`."""
         job.anchors = count
         for name, array in vars(anchors).items():
@@ -189,14 +189,14 @@ class NativeScene:
 
     def _taken(self, pointers: Any, lengths: Any) -> list[bytes]:
         """Returns the bytes that the kernel allocated, and frees them."""
-        found = []
+        taken = []
         for pointer, length in zip(pointers, lengths, strict=True):
-            found.append(ctypes.string_at(pointer, length) if pointer else b"")
+            taken.append(ctypes.string_at(pointer, length) if pointer else b"")
             self.kernel.library.kernel_free(pointer)
-        return found
+        return taken
 
 
-def _checked(verdicts: list[Verdict]) -> list[Verdict]:
+def _checked(verdicts: list[KernelVerdict]) -> list[KernelVerdict]:
     """Returns the verdicts. Raises MemoryError without memory, and RuntimeError for unchecked input."""
     statuses = [verdict.status for verdict in verdicts]
     if NO_MEMORY in statuses:
@@ -208,14 +208,14 @@ def _checked(verdicts: list[Verdict]) -> list[Verdict]:
 
 def weight_symbols(
     kernel: Kernel, tables: bytes, part: bytes, lanes: int, scale: NDArray[np.uint8], few: int
-) -> tuple[NDArray[np.int32], Verdict]:
+) -> tuple[NDArray[np.int32], KernelVerdict]:
     """SPEC 7.13, DECODE_WEIGHTS: returns the symbols of packed weights, int32 [symbols], and the verdict on them.
 
     tables: the shipped file. part: the substream. scale: uint8 [symbols]. few: the number of symbols of the first
     group.
     """
     given, bytes_ = np.ascontiguousarray(scale), np.frombuffer(part, np.uint8)
-    symbols, verdict = np.empty(len(given), np.int32), Verdict()
+    symbols, verdict = np.empty(len(given), np.int32), KernelVerdict()
     kernel.library.kernel_decode_weights(
         _tables(kernel, tables),
         kernel.variant,
@@ -239,7 +239,7 @@ def values(
     steps: uint8 [n], with any stride. table: float32 [64].
     """
     given, step = np.ascontiguousarray(symbols), np.ascontiguousarray(table)
-    found = np.empty(given.shape, np.float32)
+    products = np.empty(given.shape, np.float32)
     rows = len(given)
     kernel.library.kernel_values(
         kernel.variant,
@@ -249,9 +249,9 @@ def values(
         step.ctypes.data,
         rows,
         given.size // rows if rows else 0,
-        found.ctypes.data,
+        products.ctypes.data,
     )
-    return found
+    return products
 
 
 def splats(
@@ -271,18 +271,18 @@ def splats(
     (width, inputs), k = layers[0][0].shape, masks.shape[1]
     colours = len(layers[-1][1]) // k
     held = [np.ascontiguousarray(array) for array in (positions, masks, features, scalings, offsets)]
-    found = np.empty((np.count_nonzero(masks), 11 + colours), np.float32)
+    drawn = np.empty((np.count_nonzero(masks), 11 + colours), np.float32)
     joined = _joined(layers)
     networks = kernel.library.kernel_splatter_new(inputs, width, k, colours, *map(_address, joined))
     if not networks:
         raise MemoryError("no memory for the rendering networks in the native kernel")
     try:
         # The first numbers of the mean, the lengths, the quaternion, the opacity and the harmonics.
-        to = [found.ctypes.data + found.itemsize * column for column in (0, 3, 6, 10, 11)]
+        to = [drawn.ctypes.data + drawn.itemsize * column for column in (0, 3, 6, 10, 11)]
         given = [array.ctypes.data for array in held]
-        count = kernel.library.kernel_splat(networks, len(masks), *given, len(found), found.shape[1], *to)
+        count = kernel.library.kernel_splat(networks, len(masks), *given, len(drawn), drawn.shape[1], *to)
     finally:
         kernel.library.kernel_free(networks)
-    if count != len(found):
+    if count != len(drawn):
         raise RuntimeError("the native kernel refused validated input: please report this bug")
-    return found
+    return drawn

@@ -61,9 +61,9 @@ class Group:
         part = slice(sum(self.counts[:stream]), sum(self.counts[: stream + 1]))
         if self.kind == "mask":
             models = [[(1 << spec["PRECISION"]) - FREQUENCIES[m], FREQUENCIES[m]] for m in self.mean[part].tolist()]
-            found: list[int] = spec["DECODE_GROUP"](opened, models)
-            spec["NOTE_SYMBOLS"](opened, found)
-            return found
+            decoded: list[int] = spec["DECODE_GROUP"](opened, models)
+            spec["NOTE_SYMBOLS"](opened, decoded)
+            return decoded
         pairs = list(zip(self.mean[part].tolist(), self.scale[part].tolist(), strict=True))
         values: list[int] = spec["DECODE_VALUES"](opened, spec[self.kind.upper()], pairs, limit)
         return values
@@ -203,15 +203,15 @@ def test_each_changed_bit_has_the_verdict_of_the_text(spec: Spec, case: str) -> 
         changed[bit // 8] ^= 1 << bit % 8
         for repaired in (False, True):
             try:
-                found, (verdict,) = decode([bytes(changed)], groups, lanes)
+                values, (verdict,) = decode([bytes(changed)], groups, lanes)
             except BitstreamError as error:
                 seen.add(error.kind.name)
                 break
             wanted = by_the_text(spec, bytes(changed), groups, lanes)
-            assert (found, verdict) == wanted, bit
+            assert (values, verdict) == wanted, bit
             assert verdict is not None or repaired, "a changed bit without a right CRC-32 is refused"
             if verdict is None:
-                assert encode(groups, lanes, values=found) == [bytes(changed)]
+                assert encode(groups, lanes, values=values) == [bytes(changed)]
             seen.add(verdict)
             symbols = b"".join(struct.pack("<i", v) for group in wanted[0] for v in group)
             changed[:4] = zlib.crc32(symbols).to_bytes(4, "little")

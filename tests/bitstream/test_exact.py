@@ -119,13 +119,13 @@ def test_threads_that_overlap_leave_blas_as_it_was(
     data, before = main_file[0].read_bytes(), blas_threads()
     begun, entered = threading.Event(), threading.Event()
 
-    def in_first(*told: object) -> None:
+    def in_first(*steps: object) -> None:
         begun.set()
         assert entered.wait(60)
 
     thread = threading.Thread(target=first, args=(data, in_first))
 
-    def in_second(*told: object) -> None:
+    def in_second(*steps: object) -> None:
         entered.set()
         thread.join(60)
 
@@ -143,7 +143,7 @@ def test_a_process_that_is_forked_while_another_thread_decodes_has_all_threads(
     data, before = main_file[0].read_bytes(), blas_threads()
     begun, forked = threading.Event(), threading.Event()
 
-    def progress(*told: object) -> None:
+    def progress(*steps: object) -> None:
         begun.set()
         assert forked.wait(60)
 

@@ -40,13 +40,13 @@ def refused(data: bytes) -> BitstreamError | None:
     try:
         scene = codec.parse(data).scene
     except BitstreamError as error:
-        found = error
+        fault = error
     else:
         assert codec.emit(scene) == data
         return None
-    assert REGISTRY[found.kind.name] is found.kind
-    assert 0 <= found.offset <= len(data)
-    return found
+    assert REGISTRY[fault.kind.name] is fault.kind
+    assert 0 <= fault.offset <= len(data)
+    return fault
 
 
 def verdict(error: BitstreamError | None) -> tuple[str, int] | None:
@@ -150,8 +150,8 @@ def test_a_damaged_section_is_refused_before_it_is_decoded(monkeypatch: pytest.M
 # --- what is saved ----------------------------------------------------------------------------------------------------
 
 
-def assert_same(found: Scene, wanted: Scene) -> None:
-    assert codec.emit(replace(found, ancillary=())) == codec.emit(replace(wanted, ancillary=()))
+def assert_same(scene: Scene, wanted: Scene) -> None:
+    assert codec.emit(replace(scene, ancillary=())) == codec.emit(replace(wanted, ancillary=()))
 
 
 @pytest.mark.requirement("D10.2-2")
@@ -163,8 +163,8 @@ def test_any_damage(data: bytes) -> None:
     error, other = refused(data), None
     try:
         parsed = codec.parse(data, keep_going=True)
-    except BitstreamError as found:
-        other = found
+    except BitstreamError as refusal:
+        other = refusal
     if other:
         # What comes before the chunks refuses the file as a whole.
         assert verdict(other) == verdict(error)

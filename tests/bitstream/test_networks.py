@@ -112,8 +112,8 @@ def test_networks_are_those_of_the_text(spec: Spec, name: str, exact_float: bool
     ]
     inputs = np.random.default_rng(1).integers(-1023, 1024, (9, layers[0][0].shape[1]))
     inputs[0], inputs[1], inputs[2] = 1023, -1023, 0
-    found = IntNetwork([derive_layer(*layer) for layer in layers], exact_float)(inputs)
-    assert found.tolist() == [spec["NETWORK"](stated, row) for row in inputs.tolist()]
+    outputs = IntNetwork([derive_layer(*layer) for layer in layers], exact_float)(inputs)
+    assert outputs.tolist() == [spec["NETWORK"](stated, row) for row in inputs.tolist()]
 
 
 @pytest.mark.parametrize("exact_float", [True, False])

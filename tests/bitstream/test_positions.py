@@ -47,12 +47,12 @@ def lattice_scene(seed: int, anchors: int, d=MAIN_DIMENSIONS, **more):
 def test_cells(spec: dict, shift: int) -> None:
     """Every fp16 and every cell by the text, and back."""
     bits = np.resize(EVERY, (len(EVERY) // 3 + 1, 3))
-    found = cells(bits.view(np.float16), shift)
+    numbered = cells(bits.view(np.float16), shift)
     numbers = [spec["CELL_NUMBER"](c, shift) for c in range(1 << 16)]
     cell_of = {number: c for c, number in enumerate(numbers) if number is not None}
-    assert found.reshape(-1).tolist() == [cell_of.get(b, -1) for b in bits.reshape(-1).tolist()]
-    right = (found >= 0).all(axis=1)
-    back, fits = cell_positions(found[right], shift)
+    assert numbered.reshape(-1).tolist() == [cell_of.get(b, -1) for b in bits.reshape(-1).tolist()]
+    right = (numbered >= 0).all(axis=1)
+    back, fits = cell_positions(numbered[right], shift)
     assert fits.all()
     assert np.array_equal(back.view(np.uint16), bits[right])
     some = np.random.default_rng(shift).integers(0, 1 << 16, (3000, 3))
@@ -84,10 +84,10 @@ def test_round_trip(spec: dict, data: st.DataObject) -> None:
     parts = encode_positions(model, where, [len(chunk) for chunk in chunks], 2)
     frequency = [f.tolist() for f in model.frequency]
     for (form, part), chunk in zip(parts, chunks, strict=True):
-        found, verdict = spec["DECODE_POSITIONS"](part, form, model.cell_shift, frequency, len(chunk), 2)
+        decoded, verdict = spec["DECODE_POSITIONS"](part, form, model.cell_shift, frequency, len(chunk), 2)
         assert verdict is None
         mine = where[chunk.start : chunk.stop]
-        assert found == mine.view(np.uint16).tolist()
+        assert decoded == mine.view(np.uint16).tolist()
         assert (form == PACKED) == (chunk_codes(mine, model.cell_shift) is not None)
 
 

@@ -39,10 +39,10 @@ def streamed(source: Source) -> tuple[Scene | None, tuple[str, int] | None]:
     chunks: list[Chunk] = []
     try:
         opened = Reader(source).open()
-        for found in opened.chunks():
-            if isinstance(found, BitstreamError):
-                raise found
-            chunks.append(found)
+        for outcome in opened.chunks():
+            if isinstance(outcome, BitstreamError):
+                raise outcome
+            chunks.append(outcome)
         opened.close()
     except BitstreamError as error:
         return None, (error.kind.name, error.offset)
@@ -114,8 +114,8 @@ def test_one_range_gives_a_chunk(dimensions: object) -> None:
     section = codec.parse_container(data).section(DATA)
     for number, rows in enumerate(scene.chunks):
         fetched.clear()
-        found = decode_chunk(Ranges(fetch, len(data)), number)
-        assert chunk_digest(found) == chunk_digest(take_anchors(scene, list(rows)))
+        chunk = decode_chunk(Ranges(fetch, len(data)), number)
+        assert chunk_digest(chunk) == chunk_digest(take_anchors(scene, list(rows)))
         assert len([start for start, _ in fetched if start >= section.start]) == 1
     with pytest.raises(IndexError):
         decode_chunk(WholeFile(data), len(scene.chunks))

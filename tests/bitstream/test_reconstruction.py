@@ -26,10 +26,10 @@ Spec = dict[str, Any]
 @pytest.mark.requirement("D9.1-1")
 @given(grids(), positions(4))
 def test_world_positions(spec: Spec, grid: PositionGrid, half: np.ndarray) -> None:
-    found = reconstruction.world_positions(replace(random_scene(0, 4), grid=grid, positions=half))
+    world = reconstruction.world_positions(replace(random_scene(0, 4), grid=grid, positions=half))
     stated, bits = vars(grid), half.view(np.uint16).tolist()
     wanted = [[spec["WORLD"](stated, axis, spec["POSITION_INTEGER"](row[axis])) for axis in range(3)] for row in bits]
-    assert f32_bits(found) == wanted
+    assert f32_bits(world) == wanted
 
 
 @pytest.mark.requirement("D9.2-1")
@@ -41,11 +41,11 @@ def test_world_positions(spec: Spec, grid: PositionGrid, half: np.ndarray) -> No
 )
 def test_attribute_values(spec: Spec, pairs: list[tuple[int, int]], base_step: float) -> None:
     symbols, steps = (np.array(x) for x in zip(*pairs, strict=True))
-    found = reconstruction.dequantise(symbols.astype(np.int32), steps.astype(np.uint8), base_step)
+    values = reconstruction.dequantise(symbols.astype(np.int32), steps.astype(np.uint8), base_step)
     table = reconstruction.step_values(base_step)
     assert f32_bits(table) == [spec["STEP_VALUE"](index, f32_bits(base_step)) for index in range(len(table))]
-    assert f32_bits(found) == [spec["VALUE"](symbol, f32_bits(table[index])) for symbol, index in pairs]
-    for value, (symbol, index) in zip(found.tolist(), pairs, strict=True):
+    assert f32_bits(values) == [spec["VALUE"](symbol, f32_bits(table[index])) for symbol, index in pairs]
+    for value, (symbol, index) in zip(values.tolist(), pairs, strict=True):
         # Each is rounded once, so within half a unit in the last place.
         step = Fraction(float(table[index]))
         exact = int(tables().step[index]) * Fraction(base_step) / 4096

@@ -26,12 +26,12 @@ from refcodec.encoder.quantise import packed
 def assert_round_trip(scene: Scene) -> None:
     """Every field comes back bit for bit, and so do the bytes and the canonical reconstruction."""
     data = codec.emit(scene)
-    found = codec.parse(data).scene
-    assert codec.emit(found) == data
+    parsed = codec.parse(data).scene
+    assert codec.emit(parsed) == data
     for name in ("planes", "positions", "masks", "mask_model", "carm_shift"):
-        assert getattr(found, name).tobytes() == getattr(scene, name).tobytes(), name
+        assert getattr(parsed, name).tobytes() == getattr(scene, name).tobytes(), name
     for name in ("features", "scalings", "offsets", "steps"):
-        assert np.array_equal(getattr(found.attributes, name), getattr(scene.attributes, name)), name
+        assert np.array_equal(getattr(parsed.attributes, name), getattr(scene.attributes, name)), name
     for name in (
         "profile",
         "dimensions",
@@ -46,17 +46,17 @@ def assert_round_trip(scene: Scene) -> None:
         "chunks",
         "frame" if scene.frame is None else "profile",
     ):
-        assert getattr(found, name) == getattr(scene, name), name
+        assert getattr(parsed, name) == getattr(scene, name), name
     # Places behind the last critical section are one place.
-    assert [(a.type, a.mode, a.content) for a in found.ancillary] == [
+    assert [(a.type, a.mode, a.content) for a in parsed.ancillary] == [
         (a.type, a.mode, a.content) for a in scene.ancillary
     ]
     for name in ("matrix", "translation", "shift", "low", "high") if scene.frame is not None else ():
-        assert np.array_equal(getattr(found.frame, name), getattr(scene.frame, name)), name
+        assert np.array_equal(getattr(parsed.frame, name), getattr(scene.frame, name)), name
     for name, layers in scene.networks.items():
-        for ours, theirs in zip(layers, found.networks[name], strict=True):
+        for ours, theirs in zip(layers, parsed.networks[name], strict=True):
             assert [v.tobytes() for v in ours] == [v.tobytes() for v in theirs], name
-    assert reconstruction.digest(found) == reconstruction.digest(scene)
+    assert reconstruction.digest(parsed) == reconstruction.digest(scene)
 
 
 @pytest.mark.no_cover
@@ -190,9 +190,9 @@ def test_grouping(monkeypatch: pytest.MonkeyPatch, together: tuple[int, int]) ->
     monkeypatch.setattr(batches, "GROUP_CHUNKS", together[0])
     monkeypatch.setattr(batches, "GROUP_ANCHORS", together[1])
     assert codec.emit(scene) == data
-    found = codec.parse(data).scene
-    assert reconstruction.digest(found) == reconstruction.digest(scene)
-    assert codec.emit(found) == data
+    parsed = codec.parse(data).scene
+    assert reconstruction.digest(parsed) == reconstruction.digest(scene)
+    assert codec.emit(parsed) == data
 
 
 @pytest.mark.parametrize(

@@ -28,11 +28,11 @@ def test_integers_and_float32_give_the_same_gaussians(exact_float: bool) -> None
         networks = splat.derive_rendering(scene.networks)
         chosen = {name: IntNetwork(network.layers, exact_float, 5) for name, network in networks.items()}
         values = reconstruction.reconstruct(scene)
-        found = splat.splat(chosen, *vars(values).values(), scene.masks)
-        assert found.tobytes() == reconstruction.gaussians(scene, values).tobytes()
-        assert found.shape == (scene.masks.sum(), 11 + scene.dimensions.colour_outputs)
-        assert np.isfinite(found).all()
-        assert not np.signbit(found[:, splat.MEAN][found[:, splat.MEAN] == 0]).any()
+        floats = splat.splat(chosen, *vars(values).values(), scene.masks)
+        assert floats.tobytes() == reconstruction.gaussians(scene, values).tobytes()
+        assert floats.shape == (scene.masks.sum(), 11 + scene.dimensions.colour_outputs)
+        assert np.isfinite(floats).all()
+        assert not np.signbit(floats[:, splat.MEAN][floats[:, splat.MEAN] == 0]).any()
 
 
 @pytest.mark.requirement("D9.4-1")
@@ -51,7 +51,7 @@ def test_any_values(spec: dict[str, Any]) -> None:
     values.features[::2] = rng.uniform(-1100, 1100, (count // 2, d.features))
     masks = rng.random((count, d.offset_count)) < 0.7
     networks = splat.derive_rendering(scene.networks)
-    found = splat.splat(networks, *vars(values).values(), masks).view(np.uint32)
+    floats = splat.splat(networks, *vars(values).values(), masks).view(np.uint32)
     rows = {
         name: [
             list(zip(layer.weight.tolist(), layer.bias.tolist(), layer.exponent.tolist(), strict=True))
@@ -63,10 +63,10 @@ def test_any_values(spec: dict[str, Any]) -> None:
     for n in range(count):
         bits = [getattr(values, kind)[n].reshape(-1).view(np.uint32).tolist() for kind in vars(values)]
         wanted += spec["SPLAT"](rows, *bits, masks[n].tolist())
-    assert found.reshape(-1).tolist() == wanted
+    assert floats.reshape(-1).tolist() == wanted
     # The native kernel, where it is built.
     stand_in: Any = SimpleNamespace(networks=scene.networks, masks=masks, dimensions=d, anchor_count=count)
-    assert reconstruction.gaussians(stand_in, values).tobytes() == found.tobytes()
+    assert reconstruction.gaussians(stand_in, values).tobytes() == floats.tobytes()
 
 
 def test_the_exponential_is_near(spec: dict[str, Any]) -> None:

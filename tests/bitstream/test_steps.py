@@ -44,8 +44,8 @@ def test_isqrt(spec: Spec, values: list[int]) -> None:
 
 @given(st.integers(-(2**62), 2**62), st.integers(0, 60))
 def test_rounding_shift(spec: Spec, a: int, s: int) -> None:
-    found = int(conventions.rshift_round(column([a]), s)[0])
-    assert found == spec["RSHIFT_ROUND"](a, s) == math.floor(Fraction(a, 1 << s) + Fraction(1, 2))
+    rounded = int(conventions.rshift_round(column([a]), s)[0])
+    assert rounded == spec["RSHIFT_ROUND"](a, s) == math.floor(Fraction(a, 1 << s) + Fraction(1, 2))
 
 
 def is_nearest(x: np.float32, exact: Fraction) -> bool:
@@ -86,11 +86,11 @@ def is_nearest(x: np.float32, exact: Fraction) -> bool:
 # Rounding to binary64 first would make this a tie and go down.
 @example((1 << 62) + (1 << 38) + 1, 0)
 def test_round_to_f32_rounds_once(spec: Spec, n: int, exponent: int) -> None:
-    found = conventions.round_to_f32(column([n]), exponent)[0]
-    assert found.dtype == np.float32
-    assert f32_bits(found) == spec["ROUND_F32"](n, exponent)
-    assert is_nearest(found, n * Fraction(2) ** exponent)
-    assert not (n == 0 and np.signbit(found))
+    rounded = conventions.round_to_f32(column([n]), exponent)[0]
+    assert rounded.dtype == np.float32
+    assert f32_bits(rounded) == spec["ROUND_F32"](n, exponent)
+    assert is_nearest(rounded, n * Fraction(2) ** exponent)
+    assert not (n == 0 and np.signbit(rounded))
 
 
 @given(st.floats(width=32, allow_nan=False, allow_infinity=False))
@@ -117,9 +117,9 @@ def fields(frame: Frame) -> dict[str, list[int]]:
 def test_every_half_precision_number(spec: Spec) -> None:
     bits = np.arange(1 << 16, dtype=np.uint16)
     finite = np.isfinite(bits.view(np.float16))
-    found = positions.position_integers(bits[finite].view(np.float16))
-    assert found.tolist() == [spec["POSITION_INTEGER"](b) for b in bits[finite].tolist()]
-    assert found.tolist() == [int(Fraction(float(x)) * 2**24) for x in bits[finite].view(np.float16)]
+    integers = positions.position_integers(bits[finite].view(np.float16))
+    assert integers.tolist() == [spec["POSITION_INTEGER"](b) for b in bits[finite].tolist()]
+    assert integers.tolist() == [int(Fraction(float(x)) * 2**24) for x in bits[finite].view(np.float16)]
     # No file gives the other 2048 patterns, but they do not wrap either.
     rest = positions.position_integers(bits[~finite].view(np.float16))
     assert len(rest) == 2048
@@ -177,8 +177,8 @@ def test_query(
     spec: Spec, size: int, channels: int, shift: int, seed: int, at: list[tuple[int, int]], largest: int
 ) -> None:
     plane = np.random.default_rng(seed).integers(-largest, largest + 1, (channels, size, size))
-    found = query(plane, column(at), shift)
-    assert found.tolist() == [spec["QUERY"](plane.tolist(), u, shift) for u in at]
+    samples = query(plane, column(at), shift)
+    assert samples.tolist() == [spec["QUERY"](plane.tolist(), u, shift) for u in at]
 
 
 def test_query_at_grid_points_and_edges() -> None:
@@ -205,11 +205,11 @@ def test_positional_encoding(spec: Spec, u: list[int], frequencies: int) -> None
 def test_positional_encoding_is_sine_and_cosine() -> None:
     """Half a table step of phase and half a unit of value away at most."""
     u = np.append(np.arange(0, UNIT, 37), UNIT)
-    found = positional_encoding(u, 10)
+    waves = positional_encoding(u, 10)
     z = u / (UNIT // 2) - 1
     for k in range(10):
-        assert np.abs(found[:, 2 * k] - 1023 * np.sin(2.0**k * np.pi * z)).max() < 3.7
-        assert np.abs(found[:, 2 * k + 1] - 1023 * np.cos(2.0**k * np.pi * z)).max() < 3.7
+        assert np.abs(waves[:, 2 * k] - 1023 * np.sin(2.0**k * np.pi * z)).max() < 3.7
+        assert np.abs(waves[:, 2 * k + 1] - 1023 * np.cos(2.0**k * np.pi * z)).max() < 3.7
 
 
 @pytest.mark.requirement("D7.5-1")
@@ -220,19 +220,19 @@ def test_context_puts_the_parts_in_order(spec: Spec) -> None:
     both = assemble_planes(scene.planes)
     any_bits = rng.integers(0, 0x7C00, (200, 3)).astype(np.uint16)
     bits = np.where(rng.random((200, 3)) < 0.2, any_bits, scene.positions.view(np.uint16))
-    found = context(scene.frame, both, scene.plane_shift, 3, bits.view(np.float16)).tolist()
+    contexts = context(scene.frame, both, scene.plane_shift, 3, bits.view(np.float16)).tolist()
     stated, listed = fields(scene.frame), scene.planes.tolist()
-    assert found == [spec["CONTEXT"](stated, listed, scene.plane_shift, 3, p) for p in bits.tolist()]
-    assert len({tuple(row) for row in found}) > 100, "the anchors see different contexts"
+    assert contexts == [spec["CONTEXT"](stated, listed, scene.plane_shift, 3, p) for p in bits.tolist()]
+    assert len({tuple(row) for row in contexts}) > 100, "the anchors see different contexts"
 
 
 def test_contexts_do_not_depend_on_the_order_of_anchors() -> None:
     scene = random_scene(23, 300)
     both = assemble_planes(scene.planes)
-    found = context(scene.frame, both, scene.plane_shift, 2, scene.positions)
+    contexts = context(scene.frame, both, scene.plane_shift, 2, scene.positions)
     order = np.random.default_rng(0).permutation(300)
     again = context(scene.frame, both, scene.plane_shift, 2, scene.positions[order])
-    assert np.array_equal(again, found[order])
+    assert np.array_equal(again, contexts[order])
 
 
 # --- the order of symbols, and their models ---------------------------------------------------------------------------
@@ -252,13 +252,13 @@ def test_quadrants_lie_as_they_are_named(spec: Spec) -> None:
 @pytest.mark.requirement("D7.3-1")
 @pytest.mark.parametrize("size", [1, 2, 3, 4, 5, 8, 32])
 def test_wavefronts_hold_each_point_once_after_its_neighbours(spec: Spec, size: int) -> None:
-    found = []
+    fronts = []
     for t in range(3 * size - 2):
         rows, columns = planes.wavefront(t, size)
-        found.append([(0, i, j) for i, j in zip(rows.tolist(), columns.tolist(), strict=True)])
-    assert found == spec["PLANE_GROUPS"](1, size)
-    done = {(i, j): t for t, group in enumerate(found) for _, i, j in group}
-    assert sum(map(len, found)) == len(done) == size * size
+        fronts.append([(0, i, j) for i, j in zip(rows.tolist(), columns.tolist(), strict=True)])
+    assert fronts == spec["PLANE_GROUPS"](1, size)
+    done = {(i, j): t for t, group in enumerate(fronts) for _, i, j in group}
+    assert sum(map(len, fronts)) == len(done) == size * size
     for (i, j), t in done.items():
         for near in ((i - 1, j - 1), (i - 1, j), (i - 1, j + 1), (i, j - 1)):
             assert done.get(near, -1) < t
@@ -276,9 +276,9 @@ def selected(spec: Spec, mean: int, scale: int) -> tuple[int, int, int]:
 @example([((1 << 25) - 1, 151), (8 * 65535, 152)])
 def test_selection(spec: Spec, pairs: list[tuple[int, int]]) -> None:
     """The model is that of the text, and its mean the nearest to the true one."""
-    found = np.stack(select(*column(pairs).T), axis=1).tolist()
-    assert [tuple(row) for row in found] == [selected(spec, *pair) for pair in pairs]
+    chosen = np.stack(select(*column(pairs).T), axis=1).tolist()
+    assert [tuple(row) for row in chosen] == [selected(spec, *pair) for pair in pairs]
     # What the choice is for: the mean of the part that is not sent raw, to half of a sixteenth.
-    for (mean, _), (model, centre, raw) in zip(pairs, found, strict=True):
+    for (mean, _), (model, centre, raw) in zip(pairs, chosen, strict=True):
         true = (Fraction(mean, 16) - Fraction((1 << raw) - 1, 2)) / (1 << raw)
         assert abs(centre + Fraction(model % 16, 16) - Fraction(1, 2) - true) <= Fraction(1, 32)

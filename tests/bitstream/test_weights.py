@@ -95,10 +95,10 @@ def test_exponents_that_are_not_the_least(spec: dict, data: st.DataObject) -> No
     )
     text = spec["PACKED_LAYER"](exponent, difference.tolist(), weight.tolist(), bias.tolist())
     grid = type(to_grid((np.zeros((1, 1), np.float32), np.zeros(1, np.float32))))(exponent, difference, weight, bias)
-    found = from_grid(grid)
-    assert (found is None) == (text is None)
-    if found is not None:
-        again = to_grid(found)
+    layer = from_grid(grid)
+    assert (layer is None) == (text is None)
+    if layer is not None:
+        again = to_grid(layer)
         assert again is not None
         assert again.exponent == exponent
         assert np.array_equal(again.difference, difference)
@@ -147,17 +147,17 @@ def test_a_scene_of_grids() -> None:
     assert before is not None
     assert (sections.mode, before.mode) == (1, 0)
     assert 3 * (sections.end - sections.start) < before.end - before.start
-    found = codec.parse(data).scene
-    assert codec.emit(found) == data
+    parsed = codec.parse(data).scene
+    assert codec.emit(parsed) == data
     for kind in ("features", "scalings", "offsets", "steps"):
-        assert np.array_equal(getattr(found.attributes, kind), getattr(scene.attributes, kind))
+        assert np.array_equal(getattr(parsed.attributes, kind), getattr(scene.attributes, kind))
     for name, layers in small.networks.items():
         assert all(
             same_bits(a, b)
-            for x, y in zip(layers, found.networks[name], strict=True)
+            for x, y in zip(layers, parsed.networks[name], strict=True)
             for a, b in zip(x, y, strict=True)
         )
-    assert packed(found, "raw", None).weight_scales is found.weight_scales
+    assert packed(parsed, "raw", None).weight_scales is parsed.weight_scales
     assert packed(scene, "raw", "raw").weight_scales is None
     assert packed(scene, "raw", None).weight_scales is not None
 

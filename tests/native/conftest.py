@@ -28,9 +28,9 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def use(built: Path, monkeypatch: pytest.MonkeyPatch) -> Use:
     """Chooses a path by its name, and the number of threads. A variant that this machine cannot run is skipped."""
-    found = library.load(built)
-    assert found is not None
-    monkeypatch.setattr(library, "load", lambda: found)
+    loaded = library.load(built)
+    assert loaded is not None
+    monkeypatch.setattr(library, "load", lambda: loaded)
 
     def choose(path: str, threads: int = 1) -> None:
         if path not in library.paths():

@@ -181,11 +181,11 @@ def test_anchors_are_decoded_to_their_place_or_joined(use: Use, monkeypatch: pyt
     assert verdict(data) == (reconstruction.digest(scene)[0],)
     target = Target(data)
     broken = target.put(target.part("masks", 1)[0], b"\xff\xff")
-    found = codec.parse(broken, keep_going=True)
+    parsed = codec.parse(broken, keep_going=True)
     with by_numpy():
         wanted = codec.parse(broken, keep_going=True)
-    assert list(found.damage) == list(wanted.damage) == [1]
-    assert reconstruction.digest(found.scene) == reconstruction.digest(wanted.scene)
+    assert list(parsed.damage) == list(wanted.damage) == [1]
+    assert reconstruction.digest(parsed.scene) == reconstruction.digest(wanted.scene)
 
 
 def test_many_anchors_of_few_bytes_get_no_room(use: Use) -> None:
@@ -264,7 +264,9 @@ def test_descriptions_that_are_not_allowed(use: Use) -> None:
     assert used is not None
     tables = used.library.kernel_tables_new(tables_bytes(), len(tables_bytes()))
     for field, value in (("offset_count", 17), ("plane_size", 1025), ("slice_count", 17), ("mask_lanes", 3)):
-        description = library.Description(offset_count=1, slice_count=1, hyper_layers=1, carm_layers=1, cell_shift=-1)
+        description = library.KernelDescription(
+            offset_count=1, slice_count=1, hyper_layers=1, carm_layers=1, cell_shift=-1
+        )
         description.slice_width[0] = 1
         description.plane_lanes = description.mask_lanes = description.attribute_lanes = 1
         setattr(description, field, value)
@@ -322,23 +324,23 @@ def test_wrong_choices(
     file.write_bytes(FILES["one lane"])
     for command in (["validate", str(file)], ["--version"]):
         assert main(command) == statuses.USAGE
-        said = capsys.readouterr()
-        assert what in said.err
-        assert said.err.count("\n") == 1
-        assert said.out == ""
+        printed = capsys.readouterr()
+        assert what in printed.err
+        assert printed.err.count("\n") == 1
+        assert printed.out == ""
 
 
 def test_what_is_used_is_told(use: Use, capsys: pytest.CaptureFixture[str]) -> None:
     """With the reason if a slower path is selected than the processor allows."""
     use(library.NATIVE)
-    found = library.load()
-    assert found is not None
-    *_, (_, best) = library.variants(found)
+    loaded = library.load()
+    assert loaded is not None
+    *_, (_, best) = library.variants(loaded)
     reason = "" if best == "plain" else f"; REFCODEC_PATH excludes {best}, which is faster"
-    for path, threads, told in (("plain", 1, "plain, 1 thread"), ("plain", 3, "plain, 3 threads")):
+    for path, threads, words in (("plain", 1, "plain, 1 thread"), ("plain", 3, "plain, 3 threads")):
         use(path, threads)
         assert main(["--version"]) == statuses.DONE
-        assert capsys.readouterr().out.endswith(f"native kernel {told}{reason}\n")
+        assert capsys.readouterr().out.endswith(f"native kernel {words}{reason}\n")
     use(library.NUMPY)
     assert library.describe() == f"NumPy; REFCODEC_PATH excludes {best}, which is faster"
     for path in (library.NATIVE, best):
@@ -365,14 +367,14 @@ def test_the_variants_are_those_of_the_systems_flags(built: Path) -> None:
     except OSError:
         pytest.skip("the system states no flags of its processor")
     lines = [line.partition(":")[2].split() for line in text.splitlines() if line.startswith("flags")]
-    found, wanted = library.load(built), []
+    loaded, wanted = library.load(built), []
     assert lines
-    assert found is not None
+    assert loaded is not None
     for name, flags in FLAGS.items():
         if not set(flags.split()) <= set(lines[0]):
             break
         wanted.append(name)
-    assert [name for _, name in library.variants(found)] == wanted
+    assert [name for _, name in library.variants(loaded)] == wanted
 
 
 @pytest.mark.slow
@@ -380,10 +382,10 @@ def test_the_variants_are_those_of_the_systems_flags(built: Path) -> None:
 def test_another_compiler_chooses_the_same_variant(built: Path, tmp_path: Path) -> None:
     """zig links no run-time library of GCC, whose test of the processor then reports nothing."""
     other = library.load(build_kernel(tmp_path, CC=f"{sys.executable} -m ziglang cc"))
-    found = library.load(built)
-    assert found is not None
+    own = library.load(built)
+    assert own is not None
     assert other is not None
-    assert list(library.variants(other)) == list(library.variants(found))
+    assert list(library.variants(other)) == list(library.variants(own))
 
 
 # The choice for other registers than those of this machine.
@@ -445,11 +447,11 @@ from pathlib import Path
 from refcodec.bitstream import codec, reconstruction
 from refcodec.bitstream.errors import BitstreamError
 from refcodec.native import library
-found = library.load(Path(sys.argv[1]))
-assert found is not None
-library.load = lambda: found
+code = library.load(Path(sys.argv[1]))
+assert code is not None
+library.load = lambda: code
 os.environ[library.THREADS_VARIABLE] = "2"
-names = [name for _, name in library.variants(found)]
+names = [name for _, name in library.variants(code)]
 for number, path in enumerate(sorted(Path(sys.argv[2]).iterdir())):
     os.environ[library.PATH_VARIABLE] = names[number % len(names)]
     data = path.read_bytes()
@@ -471,7 +473,7 @@ from refcodec.bitstream.dimensions import RENDERING
 from refcodec.bitstream.networks import IntLayer, IntNetwork
 from refcodec.bitstream.splat import splat
 from refcodec.native import library
-found = library.load(Path(sys.argv[1]))
+code = library.load(Path(sys.argv[1]))
 rng = np.random.default_rng(94)
 EXTREME = [0.0, -0.0, 1e-45, -1e30, 3e38, -3e38, np.inf, -np.inf, np.nan]
 
@@ -484,7 +486,7 @@ def networks(inputs, width, k, colours):
     layers = [layer(*shape) for n in (1, 7, colours) for shape in ((width, inputs), (n * k, width))]
     flat = [np.concatenate([part.ravel() for part in parts]) for parts in zip(*layers)]
     joined = [part.astype(kind) for part, kind in zip(flat, ("i2", "i4", "u1"))]
-    return found.kernel_splatter_new(inputs, width, k, colours, *places(*joined)), layers
+    return code.kernel_splatter_new(inputs, width, k, colours, *places(*joined)), layers
 
 for sizes in ((0, 7, 3, 3), (129, 7, 3, 3), (5, 0, 3, 3), (5, 129, 3, 3), (5, 7, 0, 3), (5, 7, 17, 3), (5, 7, 3, 49)):
     assert not networks(*sizes)[0]
@@ -504,14 +506,14 @@ for sizes, n in itertools.product(((5, 7, 3, 12), (1, 1, 1, 3), (50, 128, 16, 48
             apart = [np.empty((room, width), "f4") for width in columns]
             given = [made, n, *places(values[0], masks, *values[1:]), room]
             starts = [rows.ctypes.data + 4 * at for at in (0, 3, 6, 10, 11)]
-            counts = {found.kernel_splat(*given, 11 + colours, *starts), found.kernel_splat(*given, 0, *places(*apart))}
+            counts = {code.kernel_splat(*given, 11 + colours, *starts), code.kernel_splat(*given, 0, *places(*apart))}
             assert counts == {kept if room == kept else library.REFUSED}
             if room == kept:
                 assert np.hstack(apart).tobytes() == rows.tobytes()
             if room == kept and not extreme:
                 own = [IntNetwork([IntLayer(*layer) for layer in layers[i : i + 2]]) for i in (0, 2, 4)]
                 assert splat(dict(zip(RENDERING, own)), *values, masks).tobytes() == rows.tobytes()
-    found.kernel_free(made)
+    code.kernel_free(made)
 print("done")
 """
 
