@@ -93,13 +93,13 @@ def in_turn(wanted: Mapping[str, Decoder], rounds: int) -> dict[str, list[tuple[
 def decode(anchors: int, rounds: int, kept: Path = KEPT) -> list[str]:
     """Returns the lines of the section about a large scene. Raises ValueError if digests differ."""
     path, facts = large(anchors, kept), machine("torch")
-    runs = {name: [found for _, found in own] for name, own in in_turn(decoders(path, kept), rounds).items()}
-    digests = {found["digest"] for own in runs.values() for found in own if "digest" in found}
+    runs = {name: [result for _, result in own] for name, own in in_turn(decoders(path, kept), rounds).items()}
+    digests = {result["digest"] for own in runs.values() for result in own if "digest" in result}
     if len(digests) != 1:
         raise ValueError(f"the decoders disagree: {', '.join(sorted(digests))}")
     base, rows = runs["refcodec, native"], []
     for name, own in runs.items():
-        row = [f"{median(found[clock] for found in own):.3f}" for clock in ("seconds", "processor")]
+        row = [f"{median(result[clock] for result in own):.3f}" for clock in ("seconds", "processor")]
         ratio = median(one["processor"] / other["processor"] for one, other in zip(own, base, strict=True))
         rows.append([name, *row, f"{ratio:.2f}"])
     return [
@@ -129,7 +129,7 @@ def scale(sizes: Sequence[int], rounds: int, kept: Path = KEPT) -> list[str]:
     }
     for name, own in in_turn(wanted, rounds).items():
         size, way = name.split()
-        times = [median(found[clock] for _, found in own) for clock in ("seconds", "processor")]
+        times = [median(result[clock] for _, result in own) for clock in ("seconds", "processor")]
         row = [f"{int(size):,}", f"{paths[int(size)].stat().st_size:,}", way, *(f"{time:.2f}" for time in times)]
         rows.append([*row, f"{1e6 * times[1] / int(size):.2f}", mib(max(spent.peak for spent, _ in own))])
     head = ["anchors", "bytes", "decode", "seconds", "processor seconds", "of an anchor, µs", "resident MiB"]

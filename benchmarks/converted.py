@@ -45,7 +45,7 @@ NOTE = (
 )
 
 
-class Source:
+class SplatFile:
     """A splat file, and the pictures of its test cameras, which are those of refcodec convert.
 
     up: its upward axis, of AXES. views: training pictures. size: their sides in pixels.
@@ -120,7 +120,7 @@ class Source:
         return made
 
 
-def section(sources: Sequence[Source], options: argparse.Namespace) -> list[str]:
+def section(sources: Sequence[SplatFile], options: argparse.Namespace) -> list[str]:
     """Returns the lines of the section. Raises ToolError, UsageError, RunError, ValueError and OSError."""
     if tool() is None:
         raise ToolError(f"splat-transform is missing: run `{INSTALL}` in the repository's folder")
@@ -164,7 +164,7 @@ def main(words: list[str] | None = None) -> int:
     parser.add_argument("--write", action="store_true", help="write the section of benchmarks/RESULTS.md")
     options = parser.parse_args(words)
     try:
-        sources = [Source(file, options.up, options.views, options.size) for file in options.splats]
+        sources = [SplatFile(file, options.up, options.views, options.size) for file in options.splats]
         lines = section(sources, options)
     except (ToolError, UsageError, ValueError, OSError) as error:
         print(printable(str(error), lines=True), file=sys.stderr)

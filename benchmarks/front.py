@@ -29,20 +29,20 @@ def rows(results: str) -> list[dict[str, str]]:
     section = re.search(rf"<!-- peers-{SIZE}: begin -->(.*?)<!-- peers-{SIZE}: end -->", results, re.DOTALL)
     lines = [line.strip("| ").split(" | ") for line in (section[1] if section else "").splitlines() if line[:1] == "|"]
     heads = [number for number, line in enumerate(lines) if line[0] == "scene"]
-    found: dict[str, dict[str, str]] = {}
+    best: dict[str, dict[str, str]] = {}
     for line in lines[heads[-1] + 2 :] if heads else []:
         row = dict(zip(lines[heads[-1]], line, strict=True))
         if any(row.get(name, "-") != "-" for name in OWN):
-            found[row["scene"]] = max(row, found.get(row["scene"], row), key=lambda one: float(one["PSNR, dB"]))
-    if not found:
+            best[row["scene"]] = max(row, best.get(row["scene"], row), key=lambda one: float(one["PSNR, dB"]))
+    if not best:
         raise FrontError("the section of peers has no scene for the table")
-    return list(found.values())
+    return list(best.values())
 
 
-def lines(found: list[dict[str, str]]) -> list[str]:
+def lines(scenes: list[dict[str, str]]) -> list[str]:
     """Returns the lines of the table."""
     body = []
-    for row in found:
+    for row in scenes:
         baseline, own = float(row[BASELINE]), [row.get(name, "-") for name in OWN]
         sizes = [
             f"**{float(kb):.0f} KB**, {baseline / float(kb):.1f} times smaller" if kb != "-" else "-" for kb in own

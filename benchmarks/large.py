@@ -126,9 +126,9 @@ def made_static(scene: Scene, degree: int = 1) -> Scene:
         inputs = np.concatenate([np.minimum(np.rint(hidden * wide), ACTIVATION_MAX), np.ones((len(hidden), 1))], axis=1)
         outputs = wanted.reshape(len(hidden), -1) * (1 << OUTPUT_BITS)
         least = np.eye(inputs.shape[1])
-        found = np.linalg.solve(inputs.T @ inputs + least, inputs.T @ outputs).T.astype(np.float32)
+        fitted = np.linalg.solve(inputs.T @ inputs + least, inputs.T @ outputs).T.astype(np.float32)
         first = (own * wide / up).astype(np.float32), (offset * wide).astype(np.float32)
-        networks[name] = [first, (np.ascontiguousarray(found[:, :-1]), found[:, -1].copy())]
+        networks[name] = [first, (np.ascontiguousarray(fitted[:, :-1]), fitted[:, -1].copy())]
     return replace(
         scene,
         dimensions=replace(d, view_inputs=0, colour_outputs=colours),
@@ -145,14 +145,14 @@ def widened(layers: list[Layer], widths: tuple[int, ...]) -> list[Layer]:
 
     widths: of its hidden layers, none smaller than before.
     """
-    found, inputs = [], layers[0][0].shape[1]
+    wider, inputs = [], layers[0][0].shape[1]
     for (weight, bias), units in zip(layers, (*widths, len(layers[-1][1])), strict=True):
         rows = np.arange(units) % len(bias)
         # Weights for the new units of the previous layer are 0, so the exponent of each row does not change.
         more = np.zeros((units, inputs - weight.shape[1]), np.float32)
-        found.append((np.concatenate([weight[rows], more], axis=1), bias[rows]))
+        wider.append((np.concatenate([weight[rows], more], axis=1), bias[rows]))
         inputs = units
-    return found
+    return wider
 
 
 def resized_planes(planes: NDArray[np.int16], size: int) -> NDArray[np.int16]:

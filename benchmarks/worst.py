@@ -152,13 +152,13 @@ CASES: dict[str, tuple[str, Callable[[bool], Scene]]] = {
 
 def files(large: bool) -> dict[str, bytes]:
     """Returns for each step the worst accepted file, and one that its last check refuses."""
-    found = {}
+    made = {}
     for name, (path, make) in CASES.items():
         data = codec.emit(make(large))
         at = Target(data).substreams[path].start
-        found[f"{name}, valid"] = data
-        found[f"{name}, rejected"] = repair(data[:at] + bytes([data[at] ^ 1]) + data[at + 1 :])
-    return found
+        made[f"{name}, valid"] = data
+        made[f"{name}, rejected"] = repair(data[:at] + bytes([data[at] ^ 1]) + data[at + 1 :])
+    return made
 
 
 def memory_bound(header: Header, size: int) -> int:

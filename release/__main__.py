@@ -22,7 +22,7 @@ from refcodec.statuses import DONE, REJECTED, USAGE, UsageError
 
 from . import compiler, packages, source, trials, wheels
 
-Step = Callable[[source.Source, Path], list[Path]]
+Step = Callable[[source.SourceTree, Path], list[Path]]
 
 
 def steps() -> dict[str, Step]:

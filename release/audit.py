@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from refcodec.statuses import UsageError
 
 if TYPE_CHECKING:
-    from .compiler import Target
+    from .compiler import System
 
 # refcodec.native.library calls it first.
 FIRST = "kernel_version"
@@ -57,7 +57,7 @@ def facts(content: bytes) -> Facts:
     raise UsageError("neither ELF nor Mach-O nor PE")
 
 
-def check_kernel(content: bytes, target: Target) -> None:
+def check_kernel(content: bytes, target: System) -> None:
     """Raises UsageError if the system of a wheel may not load its kernel."""
     if faults := [*_faults(facts(content), target.tag)]:
         raise UsageError(f"the kernel for {target.name}: {'; '.join(faults)}")

@@ -39,7 +39,7 @@ def parts(name: str, tag: str) -> list[Part]:
 
 
 @cache
-def text(*found: Part) -> bytes:
+def text(*of: Part) -> bytes:
     """Returns the licences of parts."""
     package = importlib.util.find_spec("ziglang")
     assert package is not None
@@ -48,5 +48,5 @@ def text(*found: Part) -> bytes:
     return b"\n".join(
         f"{line}\n{part.name} ({part.licence})\n{line}\n\n".encode()
         + b"\n".join((folder / name).read_bytes() for name in part.files)
-        for part in found
+        for part in of
     )

@@ -12,19 +12,19 @@ from docs import document
 from refcodec.statuses import UsageError
 
 from . import archives, compiler, notices, wheels
-from .source import Source
+from .source import SourceTree
 
 SUMS = "SHA256SUMS"
 
 
-def sdist(source: Source, folder: Path) -> list[Path]:
+def sdist(source: SourceTree, folder: Path) -> list[Path]:
     """Writes the source distribution. It has the files of the commit, and builds the same wheel. Returns its path."""
     path = folder / f"refcodec-{source.version}.tar.gz"
     path.write_bytes(archives.same_tar_gz(wheels.build(source.folder, "build_sdist", source.epoch), source.epoch))
     return [path]
 
 
-def npm(source: Source, folder: Path) -> list[Path]:
+def npm(source: SourceTree, folder: Path) -> list[Path]:
     """Writes the package for npm, with the WebAssembly built again, and its hash. Returns its path.
 
     It has the files that `npm pack` takes, and the licences, which npm seeks in the package's folder.
@@ -44,7 +44,7 @@ def npm(source: Source, folder: Path) -> list[Path]:
     return [path]
 
 
-def vectors(source: Source, folder: Path) -> list[Path]:
+def vectors(source: SourceTree, folder: Path) -> list[Path]:
     """Writes the archive of the suite's vectors, with schema, licences and sums. Returns its path."""
     prefix = f"c3gs-vectors-{source.suite}/"
     files = archives.tree(source.folder / "vectors")
@@ -56,7 +56,7 @@ def vectors(source: Source, folder: Path) -> list[Path]:
     return [path]
 
 
-def specification(source: Source, folder: Path) -> list[Path]:
+def specification(source: SourceTree, folder: Path) -> list[Path]:
     """Writes SPEC.md as one HTML file. Returns its path."""
     path = folder / f"c3gs-spec-{source.version}.html"
     manifest = sha256(source.folder / "vectors" / "manifest.json")
@@ -67,7 +67,7 @@ def specification(source: Source, folder: Path) -> list[Path]:
     return [path]
 
 
-def sums(source: Source, folder: Path) -> list[Path]:
+def sums(source: SourceTree, folder: Path) -> list[Path]:
     """Writes SHA256SUMS over all artefacts of a folder, which are made before. Returns its path."""
     path = folder / SUMS
     path.write_text(

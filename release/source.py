@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 @dataclass(frozen=True)
-class Source:
+class SourceTree:
     """The files of a commit.
 
     folder: that of the files. commit: its hash. epoch: its time, in seconds since 1970. version: of the project.
@@ -38,7 +38,7 @@ def commit() -> str:
     return _git("rev-parse", "HEAD").decode().strip()
 
 
-def export(folder: Path) -> Source:
+def export(folder: Path) -> SourceTree:
     """Writes the files of the commit to a new folder. Raises UsageError."""
     name = commit()
     with tarfile.open(fileobj=io.BytesIO(_git("archive", "--format=tar", name))) as archive:
@@ -49,7 +49,7 @@ def export(folder: Path) -> Source:
         raise UsageError("refcodec/__init__.py states no __version__")
     manifest = json.loads((folder / "vectors" / "manifest.json").read_text(encoding="utf-8"))
     epoch = int(_git("log", "-1", "--format=%ct", name))
-    return Source(folder, name, epoch, version[1], manifest["suite_version"])
+    return SourceTree(folder, name, epoch, version[1], manifest["suite_version"])
 
 
 def _git(*arguments: str) -> bytes:

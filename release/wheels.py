@@ -20,7 +20,7 @@ from pathlib import Path
 from refcodec.statuses import UsageError
 
 from . import archives, audit, compiler, notices
-from .source import Source
+from .source import SourceTree
 
 NAME, SUITE = "refcodec", "refcodec_conformance"
 KERNEL = "refcodec/native/kernel.so"
@@ -47,7 +47,7 @@ def build(tree: Path, what: str, epoch: int) -> bytes:
         return path.read_bytes()
 
 
-def plain(source: Source, folder: Path) -> list[Path]:
+def plain(source: SourceTree, folder: Path) -> list[Path]:
     """Writes the wheel of refcodec without a kernel, for any system, and that of the suite. Returns their paths."""
     whole = Path(folder, ".whole.whl")
     whole.write_bytes(build(source.folder, "build_wheel", source.epoch))
@@ -62,7 +62,7 @@ def plain(source: Source, folder: Path) -> list[Path]:
     ]
 
 
-def native(source: Source, folder: Path, target: compiler.Target) -> list[Path]:
+def native(source: SourceTree, folder: Path, target: compiler.System) -> list[Path]:
     """Writes the wheel of refcodec for a system. folder: has that for any system. Returns its path."""
     with zipfile.ZipFile(path_of(folder, NAME, source.version, ANY)) as archive:
         files = {name: archive.read(name) for name in archive.namelist()}
@@ -78,8 +78,8 @@ def path_of(folder: Path, name: str, version: str, tag: str) -> Path:
 
 def _requirements(metadata: str) -> dict[str, str]:
     """Returns the requirements of the extra `conformance`, by name."""
-    found = re.findall(r'^Requires-Dist: (([\w.-]+)\S*); extra == "conformance"$', metadata, re.MULTILINE)
-    return {name: text for text, name in found}
+    required = re.findall(r'^Requires-Dist: (([\w.-]+)\S*); extra == "conformance"$', metadata, re.MULTILINE)
+    return {name: text for text, name in required}
 
 
 def _light(files: dict[str, bytes], info: str, version: str) -> dict[str, bytes]:
@@ -94,7 +94,7 @@ def _light(files: dict[str, bytes], info: str, version: str) -> dict[str, bytes]
     return own
 
 
-def _suite(files: dict[str, bytes], info: str, source: Source, requirements: dict[str, str]) -> dict[str, bytes]:
+def _suite(files: dict[str, bytes], info: str, source: SourceTree, requirements: dict[str, str]) -> dict[str, bytes]:
     """Returns the files of the suite as a distribution."""
     new = f"{SUITE}-{source.version}.dist-info/"
     metadata = files[f"{info}METADATA"].decode()
@@ -117,7 +117,7 @@ def _entry(name: str, place: str) -> bytes:
     return f"[console_scripts]\n{name} = {place}\n".encode()
 
 
-def _write(source: Source, folder: Path, name: str, tag: str, files: dict[str, bytes]) -> Path:
+def _write(source: SourceTree, folder: Path, name: str, tag: str, files: dict[str, bytes]) -> Path:
     """Writes a wheel with its licences and record. Returns its path."""
     info = f"{name}-{source.version}.dist-info/"
     parts, metadata = notices.parts(name, tag), files[f"{info}METADATA"].decode()

@@ -72,13 +72,13 @@ def train(photographs: Path, folder: Path, settings: SplatSettings) -> dict[str,
     """
     torch.set_num_threads(1)
     numba.set_num_threads(1)
-    found = read_photographs(photographs, parse_size(settings.size))
-    trainer, ply = SplatTrainer(found, settings), folder / "splat.ply"
+    views = read_photographs(photographs, parse_size(settings.size))
+    trainer, ply = SplatTrainer(views, settings), folder / "splat.ply"
     splats = trainer.run()
     folder.mkdir(parents=True, exist_ok=True)
     ply.write_bytes(write_splats(Splats(**{name: value.numpy() for name, value in splats.items()}), ".ply"))
     files = {"ply": (ply, ply), **{suffix: there_and_back(ply, suffix) for suffix in FORMATS}}
-    shown = {kind: quality(coded, again, found) for kind, (coded, again) in files.items()}
+    shown = {kind: quality(coded, again, views) for kind, (coded, again) in files.items()}
     return {"files": shown, "seconds": trainer.seconds}
 
 
@@ -167,10 +167,10 @@ def bytes_at(points: Sequence[tuple[float, float]], psnr: float) -> float | None
     return next((size for size, own in points if own == psnr), None)
 
 
-def report(found: Sequence[Row], seeds: int) -> list[str]:
+def report(results: Sequence[Row], seeds: int) -> list[str]:
     """Returns the lines of two tables: figures, and sizes at the PSNR of BASELINE. seeds: the least number of a row."""
     body, curves = [], dict[tuple[str, str], list[tuple[float, float]]]()
-    for (scene, label, strength), several in sorted(grouped(found, "scene", "method", "lambda_r").items()):
+    for (scene, label, strength), several in sorted(grouped(results, "scene", "method", "lambda_r").items()):
         if len(several) >= seeds:
             figures = {name: [one[name] for one in several] for name in ("bytes", "psnr", "ssim", "processor_seconds")}
             cells = [spread_text(values, digits) for values, digits in zip(figures.values(), (0, 2, 4, 0), strict=True)]
@@ -191,9 +191,9 @@ def report(found: Sequence[Row], seeds: int) -> list[str]:
 
 def tables(folders: Sequence[Path], seeds: int, write: bool) -> int:
     """Prints the tables of folders, and writes the sections of RESULTS.md, one for each size of photographs."""
-    found = [one for folder in folders for one in rows(folder)]
-    for size in sorted({one["size"] for one in found}):
-        lines = report([one for one in found if one["size"] == size], seeds)
+    results = [one for folder in folders for one in rows(folder)]
+    for size in sorted({one["size"] for one in results}):
+        lines = report([one for one in results if one["size"] == size], seeds)
         head = ["`python -m benchmarks.peers table FOLDER --write`", "", machine("torch"), *NOTE, ""]
         publish(f"peers-{size}", f"Peers in one harness, {size} pixels", [*head, *lines], write)
     return DONE

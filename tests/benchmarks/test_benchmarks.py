@@ -159,9 +159,9 @@ def test_a_scene_of_a_splat(tmp_path: Path) -> None:
     """The photographs that are read are those of the splat, from cameras whose up is -y in the world."""
     (tmp_path / "a.ply").write_bytes(write_splats(splats(300, 1), ".ply"))
     assert peers.main(["scene", str(tmp_path / "a.ply"), "-o", str(tmp_path / "scene"), "--size", "24"]) == 0
-    found = read_photographs(tmp_path / "scene", background=(255, 255, 255))
-    assert (len(found.train), len(found.test)) == (100, 25)
-    assert np.mean([p.camera.rotation[1] for p in (*found.train, *found.test)], axis=0).argmax() == 1
+    photographs = read_photographs(tmp_path / "scene", background=(255, 255, 255))
+    assert (len(photographs.train), len(photographs.test)) == (100, 25)
+    assert np.mean([p.camera.rotation[1] for p in (*photographs.train, *photographs.test)], axis=0).argmax() == 1
 
 
 def printed(capsys: pytest.CaptureFixture[str]) -> list[list[str]]:

@@ -19,11 +19,11 @@ from packaging.requirements import Requirement
 from refcodec import __version__
 from refcodec.statuses import UsageError
 from release import archives, audit, compiler, notices, wheels
-from release.source import Source
+from release.source import SourceTree
 
 ROOT = Path(__file__).resolve().parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-SOURCE = Source(ROOT, "c" * 40, 1_700_000_000, "0.1.0", "0.1.0")
+SOURCE = SourceTree(ROOT, "c" * 40, 1_700_000_000, "0.1.0", "0.1.0")
 INFO = "refcodec-0.1.0.dist-info/"
 
 
@@ -61,11 +61,11 @@ def whole() -> dict[str, bytes]:
 def divided(monkeypatch: pytest.MonkeyPatch, folder: Path) -> list[dict[str, bytes]]:
     """The files of the wheel of refcodec and of that of the suite."""
     monkeypatch.setattr(wheels, "build", lambda *_: archives.zipped(whole(), 0))
-    found = []
+    contents = []
     for path in wheels.plain(SOURCE, folder):
         with zipfile.ZipFile(path) as archive:
-            found.append({name: archive.read(name) for name in archive.namelist()})
-    return found
+            contents.append({name: archive.read(name) for name in archive.namelist()})
+    return contents
 
 
 def requirements(wheel: dict[str, bytes], info: str) -> list[Requirement]:
@@ -166,7 +166,7 @@ def test_a_library_that_a_system_may_not_load_is_refused(
     monkeypatch: pytest.MonkeyPatch, library: str, exports: set[str], tag: str, fault: str | None
 ) -> None:
     monkeypatch.setattr(audit, "facts", lambda _: audit.Facts((library,), frozenset(exports)))
-    target = compiler.Target("a system", "", tag)
+    target = compiler.System("a system", "", tag)
     with pytest.raises(UsageError, match=re.escape(fault)) if fault else contextlib.nullcontext():
         audit.check_kernel(b"", target)
 
@@ -182,7 +182,7 @@ def test_the_citation_is_current() -> None:
 def test_file_knows_the_format() -> None:
     """spec/c3gs.magic, which `python -m spec --check` compares with the schemas."""
     command = ["file", "--brief", "-m", ROOT / "spec" / "c3gs.magic", ROOT / "vectors" / "tiny-example.c3gs"]
-    found = subprocess.run([*command, ROOT / "SPEC.md"], capture_output=True, text=True, check=True).stdout
-    words, other = found.splitlines()
+    printed = subprocess.run([*command, ROOT / "SPEC.md"], capture_output=True, text=True, check=True).stdout
+    words, other = printed.splitlines()
     assert words == "C3GS scene of 3D Gaussians, version 0.0, profile Tiny level 0, anchors: 5, chunks: 2"
     assert not other.startswith("C3GS")
