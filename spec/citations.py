@@ -87,12 +87,12 @@ def _requirement_words(name: str) -> set[str]:
 @cache
 def steps() -> dict[str, set[str]]:
     """Returns the steps of 10.1 in order, each with the words of its requirements' errors."""
-    found: dict[str, set[str]] = {}
+    steps_of: dict[str, set[str]] = {}
     for name, sentence in re.findall(r"^- ([A-Z]+)\b(.*?)(?=^- [A-Z]|^Each )", own_clauses()["10.1"].text, re.S | re.M):
         own = [own_requirements()[r].error.partition(".")[0] for r in re.findall(r"R[\d.]+-\d+", sentence)]
         # The CRC-32 of DATA and the place of a chunk are rules on sections, but CHUNKS is not about sections.
-        found[name] = words(" ".join([name, *own])) - ({"section"} if name == "CHUNKS" else set())
-    return found
+        steps_of[name] = words(" ".join([name, *own])) - ({"section"} if name == "CHUNKS" else set())
+    return steps_of
 
 
 def _python_unit(source: str) -> Iterator[tuple[int, int]]:
@@ -206,7 +206,7 @@ def faults(path: str, source: str, *, compare: bool = True) -> Iterator[str]:
 
 def check() -> list[str]:
     """Returns the faults of the citations in all files of the repository except tests, which also cite wrongly."""
-    found: list[str] = []
+    all_faults: list[str] = []
     names = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=True).stdout.split()
     for name in names:
         if (
@@ -214,5 +214,5 @@ def check() -> list[str]:
             and not name.startswith(_LEFT_OUT)
             and (ROOT / name).exists()
         ):
-            found += faults(name, (ROOT / name).read_text(encoding="utf-8"), compare=not name.endswith(".md"))
-    return found
+            all_faults += faults(name, (ROOT / name).read_text(encoding="utf-8"), compare=not name.endswith(".md"))
+    return all_faults

@@ -293,25 +293,25 @@ def of_vectors(manifest: Manifest, jobs: int) -> tuple[list[list[str]], dict[str
 
     jobs: the number of processes. Loading the second decoder counts as the vector ANY_FILE.
     """
-    found: list[list[str]] = [[ANY_FILE] if each else [] for each in probed().seen]
+    reaching: list[list[str]] = [[ANY_FILE] if each else [] for each in probed().seen]
     extremes: dict[str, tuple[int, int]] = {}
     longest_first = sorted(manifest.vectors, key=lambda vector: -vector.input.size)
     with ProcessPoolExecutor(jobs) as pool:
         results = pool.map(_reached, longest_first)
         for name, numbers, own in tqdm(results, total=len(longest_first), unit="vector", disable=None):
             for number in numbers:
-                found[number].append(name)
+                reaching[number].append(name)
             for quantity, (least, greatest) in own.items():
                 before = extremes.get(quantity, (least, greatest))
                 extremes[quantity] = min(least, before[0]), max(greatest, before[1])
-    return found, extremes
+    return reaching, extremes
 
 
-def report(sites: list[Site], found: list[list[str]]) -> tuple[list[str], int]:
-    """Returns lines on statements and conditions, and the number of holes. found: as of_vectors returns it."""
+def report(sites: list[Site], reaching: list[list[str]]) -> tuple[list[str], int]:
+    """Returns lines on statements and conditions, and the number of holes. reaching: as of_vectors returns it."""
     lines, holes = [], 0
     for name, kinds in KINDS.items():
-        own = [(site, vectors) for site, vectors in zip(sites, found, strict=True) if site.kind in kinds]
+        own = [(site, vectors) for site, vectors in zip(sites, reaching, strict=True) if site.kind in kinds]
         missed = [site for site, vectors in own if not vectors]
         argued = [site for site in missed if site.argued()]
         holes += len(missed) - len(argued)
@@ -351,7 +351,7 @@ def extremes_of(text: str, extremes: dict[str, tuple[int, int]]) -> tuple[list[s
 def main(jobs: int | None = None) -> int:
     """Prints the report. Returns 1 if there is a hole, else 0."""
     manifest, text = load(), SPEC.read_text(encoding="utf-8")
-    found, extremes = of_vectors(manifest, jobs or os.cpu_count() or 1)
-    reports = report(_probed().sites, found), extremes_of(text, extremes), elements.report(text, manifest)
+    reaching, extremes = of_vectors(manifest, jobs or os.cpu_count() or 1)
+    reports = report(_probed().sites, reaching), extremes_of(text, extremes), elements.report(text, manifest)
     print("\n".join(line for lines, _ in reports for line in lines))
     return 1 if any(holes for _, holes in reports) else 0

@@ -73,16 +73,16 @@ class Range:
 _meaning = cache(meaning)
 
 
-def _name(found: Meaning, section: str, profile: str) -> str:
+def _name(element: Meaning, section: str, profile: str) -> str:
     """Returns the name of an element in the report. section: the type of the directory entry that it is in."""
-    name = f"{found.table}.{found.field}" if found.table else found.words
+    name = f"{element.table}.{element.field}" if element.table else element.words
     if name == "DirectoryEntry.mode":
         return f"{name} of {section}"
-    if name in _BY_PROFILE or (found.table == "Dimensions" and found.field != "reserved"):
+    if name in _BY_PROFILE or (element.table == "Dimensions" and element.field != "reserved"):
         return f"{name} of {profile}"
-    if "R6.8-3" in found.requirements:
+    if "R6.8-3" in element.requirements:
         kind = "weights" if name.startswith("weights") else "biases"
-        return f"{kind} of integer networks" if "7.2" in found.clauses else "numbers of rendering networks"
+        return f"{kind} of integer networks" if "7.2" in element.clauses else "numbers of rendering networks"
     return name
 
 
@@ -91,21 +91,21 @@ def values(row: Element, data: bytes) -> np.ndarray | None:
 
     The order is that of the finite numbers: those of -1, -0, 0 and 1 increase, and -0 and 0 are the same.
     """
-    found = _KIND.fullmatch(row.kind)
-    if found is None:
+    form = _KIND.fullmatch(row.kind)
+    if form is None:
         return None
-    size = int(found[2]) // 8
+    size = int(form[2]) // 8
     raw = data[row.start : row.end]
-    kind = "u" if found[1] == "f" else found[1]
+    kind = "u" if form[1] == "f" else form[1]
     numbers = np.frombuffer(raw[: len(raw) // size * size], f"<{kind}{size}")
-    if found[1] == "f":
+    if form[1] == "f":
         top = 1 << 8 * size - 1
         numbers = numbers.astype(np.int64)
         numbers = np.where(numbers & top, -(numbers & (top - 1)), numbers)
     return numbers
 
 
-def _of_vector(vector: Vector, data: bytes, found: dict[str, Range]) -> None:
+def _of_vector(vector: Vector, data: bytes, ranges: dict[str, Range]) -> None:
     """Adds the elements of a vector."""
     expected, section, profile, model = vector.expectation, "", "", outline_of(data).render_model
     starts: dict[str, int] = {}
@@ -122,7 +122,7 @@ def _of_vector(vector: Vector, data: bytes, found: dict[str, Range]) -> None:
         if numbers is None or not len(numbers):
             continue
         name = _name(_meaning(row.path, model), section, profile)
-        own = found.setdefault(name, Range(row.kind.partition("[")[0]))
+        own = ranges.setdefault(name, Range(row.kind.partition("[")[0]))
         # An error of a state has the offset of its substream, and that of a weight the offset of its row (10.3).
         nearby = name == "Substream.state" or name.endswith("integer networks")
         start = starts[structure] if nearby else row.start
@@ -138,11 +138,11 @@ def _of_vector(vector: Vector, data: bytes, found: dict[str, Range]) -> None:
 
 def of_vectors(manifest: Manifest) -> dict[str, Range]:
     """Returns the ranges of the elements by name. A header is valid if no error of it or of its directory is found."""
-    found: dict[str, Range] = {}
+    ranges: dict[str, Range] = {}
     for vector in manifest.vectors:
         if vector.operation == "decode":
-            _of_vector(vector, manifest.path(vector).read_bytes(), found)
-    return found
+            _of_vector(vector, manifest.path(vector).read_bytes(), ranges)
+    return ranges
 
 
 def argued(name: str) -> str | None:
@@ -161,15 +161,15 @@ def _shown(kind: str, value: int) -> str:
 
 def report(spec: str, manifest: Manifest) -> tuple[list[str], int]:
     """Returns lines on the extremes, and how many of them no vector reaches without a reason. spec: SPEC.md."""
-    found = of_vectors(manifest)
+    ranges = of_vectors(manifest)
     lines: list[str] = []
     proved = reasoned = holes = 0
-    known = {name.partition(" of ")[0] for name in found}
+    known = {name.partition(" of ")[0] for name in ranges}
     for name, (kind, _) in fields(spec).items():
         if _KIND.fullmatch(kind.partition("[")[0]) and name not in known:
             lines.append(f"  {name}: no vector has it")
             holes += 2
-    for name, own in found.items():
+    for name, own in ranges.items():
         if name.endswith(" of others") and own.least is None:
             # An unknown profile.
             continue

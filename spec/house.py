@@ -83,31 +83,31 @@ def docstring(module: str) -> str:
 @cache
 def imports(module: str) -> dict[str, set[str]]:
     """Returns the project's modules that a module imports, with the names imported from each."""
-    found: dict[str, set[str]] = defaultdict(set)
+    named: dict[str, set[str]] = defaultdict(set)
     path = modules()[module]
     package = (module if path.name == "__init__.py" else module.rpartition(".")[0]).split(".")
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
             for alias in node.names:
-                found[alias.name].add("")
+                named[alias.name].add("")
         elif isinstance(node, ast.ImportFrom):
             above = package[: len(package) - node.level + 1] if node.level else []
             source = ".".join([*above, node.module or ""]).strip(".")
             for alias in node.names:
                 inner = f"{source}.{alias.name}"
                 if inner in modules():
-                    found[inner].add("")
+                    named[inner].add("")
                 else:
-                    found[source].add(alias.name)
-    return {name: names for name, names in found.items() if name in modules()}
+                    named[source].add(alias.name)
+    return {name: names for name, names in named.items() if name in modules()}
 
 
 def uses() -> dict[str, set[str]]:
     """Returns the other rooms that each room imports, except `refcodec` itself, which all may import."""
-    found: dict[str, set[str]] = {name: set() for name in ROOMS}
+    used: dict[str, set[str]] = {name: set() for name in ROOMS}
     for module in modules():
-        found[room(module)] |= {room(name) for name in imports(module)} - {room(module), "refcodec"}
-    return found
+        used[room(module)] |= {room(name) for name in imports(module)} - {room(module), "refcodec"}
+    return used
 
 
 def table() -> str:

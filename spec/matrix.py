@@ -14,7 +14,7 @@ import msgspec
 from conformance.manifest import Manifest, Rejected, load
 from refcodec.bitstream.errors import REGISTRY
 from refcodec.inspect.specification import clauses, own_requirements, requirements, text
-from refcodec.inspect.trail import CodePlace, Record, Trail
+from refcodec.inspect.trail import CodePlace, Trail, TrailRecord
 
 from .made import ROOT, Made
 from .trail import DECODERS, by_name, trails
@@ -51,13 +51,13 @@ def _link(place: CodePlace) -> str:
     return f"[{file}.{place.name}](../{place.path})".replace("decoder.c.", "")
 
 
-def holes(found: dict[str, Trail]) -> list[str]:
+def holes(by_requirement: dict[str, Trail]) -> list[str]:
     """Returns messages on requirements without code in a decoder, a test, or a vector.
 
     A requirement of NO_VECTOR must have no vector.
     """
     missing = []
-    for name, trail in found.items():
+    for name, trail in by_requirement.items():
         missing += [f"{name} has no code in {decoder}" for decoder, places in trail.code.items() if not places]
         missing += [f"{name} has no test"] if not trail.tests else []
         if bool(trail.vectors) == (name in NO_VECTOR):
@@ -65,19 +65,19 @@ def holes(found: dict[str, Trail]) -> list[str]:
     return missing
 
 
-def document(spec: str, found: dict[str, Trail]) -> str:
+def document(spec: str, by_requirement: dict[str, Trail]) -> str:
     """Returns REQUIREMENTS.md. spec: SPEC.md. Raises SystemExit if there is a hole."""
-    if missing := holes(found):
+    if missing := holes(by_requirement):
         raise SystemExit(f"holes in the matrix: {'; '.join(missing)}")
     known, rows = clauses(spec), []
     for name, r in requirements(spec).items():
-        trail = found[name]
+        trail = by_requirement[name]
         cells = [f"[{name}](../SPEC.md#{known[r.clause].anchor})", r.text]
         cells += ["<br>".join(map(_link, trail.code[d])) if d in trail.code else "-" for d in DECODERS]
         cells.append("<br>".join(map(_link, trail.tests)))
         cells.append(NO_VECTOR.get(name, str(len(trail.vectors))))
         rows.append(f"| {' | '.join(cells)} |")
-    share = f"{len(found) - len(NO_VECTOR)} of {len(found)} requirements have a vector."
+    share = f"{len(by_requirement) - len(NO_VECTOR)} of {len(by_requirement)} requirements have a vector."
     return HEAD + "\n".join(rows) + f"\n\n{share} No single file and result can test the other {len(NO_VECTOR)}.\n"
 
 
@@ -100,10 +100,10 @@ def vector_lists(suite: Manifest) -> Iterator[str]:
             yield f"{term}:{name}\t{' '.join(vectors.get(name, []))}"
 
 
-def record(found: Record) -> str:
+def record(kept: TrailRecord) -> str:
     """Returns trail.json, with the places, the number of vectors and the first vectors of each trail."""
     parts = []
-    for part, trails_of in msgspec.structs.asdict(found).items():
+    for part, trails_of in msgspec.structs.asdict(kept).items():
         cut = {
             name: msgspec.structs.replace(trail, vectors=trail.vectors[: SHOWN[part]])
             for name, trail in trails_of.items()
@@ -116,7 +116,7 @@ def record(found: Record) -> str:
 def made() -> Iterator[Made]:
     """Yields both files. Raises SystemExit for a hole."""
     spec, suite = text(), load()
-    found = trails(requirements(spec), suite)
+    every = trails(requirements(spec), suite)
     list(vector_lists(suite))
-    yield Made.text(FOLDER / "REQUIREMENTS.md", document(spec, found.requirements))
-    yield Made.text(ROOT / "refcodec" / "data" / "trail.json", record(found))
+    yield Made.text(FOLDER / "REQUIREMENTS.md", document(spec, every.requirements))
+    yield Made.text(ROOT / "refcodec" / "data" / "trail.json", record(every))

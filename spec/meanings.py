@@ -68,8 +68,8 @@ def rules() -> Iterator[Rule]:
 
 def _words() -> dict[str, set[str]]:
     """Returns the words of each requirement, with its list."""
-    found = re.findall(r"^- \[([RDGE][^\]]+)\](.*(?:\n+  .*)*)", unfolded(text()), re.MULTILINE)
-    return {name: set(re.findall(r"\w+", sentence)) for name, sentence in found}
+    items = re.findall(r"^- \[([RDGE][^\]]+)\](.*(?:\n+  .*)*)", unfolded(text()), re.MULTILINE)
+    return {name: set(re.findall(r"\w+", sentence)) for name, sentence in items}
 
 
 def check() -> Iterator[str]:

@@ -86,15 +86,15 @@ class Marks(ast.NodeTransformer):
         return node
 
     def visit(self, node: ast.AST) -> Any:
-        found = super().visit(node)
+        visited = super().visit(node)
         if not self.functions or not isinstance(node, ast.expr) or self.functions[0] in IMAGES:
-            return found
+            return visited
         key = self.functions[-1], self.texts.get(id(node), "")
         if key in SITES or key == ROUNDED:
             name = ast.Constant(SITES.get(key, ""))
             more = [ast.Name("a", ast.Load())] if key == ROUNDED else []
-            return ast.Call(ast.Name("_quantity", ast.Load()), [name, found, *more], [])
-        return found
+            return ast.Call(ast.Name("_quantity", ast.Load()), [name, visited, *more], [])
+        return visited
 
     def visit_BinOp(self, node: ast.BinOp) -> ast.AST:
         left, text = isinstance(node.op, ast.LShift), self.texts[id(node)]
@@ -409,12 +409,12 @@ def _network(proof: Proof, b: dict[str, Any]) -> None:
     path.split = 0
     exponent = fresh(0, b["EXPONENT_MAX"], "e")
     b["range"] = lambda *_: [exponent]
-    found = b["DERIVE_ROW"]([0] * INPUTS, 0)
-    if found is None:
+    layer = b["DERIVE_ROW"]([0] * INPUTS, 0)
+    if layer is None:
         raise DeadError
-    w, bias, e = found
+    w, bias, e = layer
     inputs = [fresh(-b["ACTIVATION_MAX"], b["ACTIVATION_MAX"], "a") for _ in w]
-    out = b["NETWORK"]([[found]], inputs)[0]
+    out = b["NETWORK"]([[layer]], inputs)[0]
     site = next(n for n, own in enumerate(proof.spec.shifts) if own[0] == "DERIVE_ROW")
     path.oblige(magnitude(out) <= row.bound, "an output")
     products = sum([x * a for x, a in zip(w, inputs, strict=True)])
@@ -458,11 +458,11 @@ def _frame(proof: Proof, b: dict[str, Any]) -> None:
 def _contract(proof: Proof, b: dict[str, Any]) -> None:
     b["ISQRT"] = isqrt
     v = [within(proof, "v") for _ in range(3)]
-    found = b["CONTRACT"](v)
+    contracted = b["CONTRACT"](v)
     q = sum([x * x for x in v])
     Path.now.tighten(q)
     isqrt(q)
-    for w in found:
+    for w in contracted:
         proof.quantity("w", w)
 
 
@@ -576,8 +576,8 @@ def _values(proof: Proof, b: dict[str, Any]) -> None:
 def symbol(b: dict[str, Any], x: Any, word: Any, frequencies: list[Any]) -> tuple[int, Any, int]:
     """Returns what DECODE_SYMBOL finds: the symbol, the next state, and how many words it took."""
     stream: dict[str, Any] = {"state": [x], "words": [word], "word_at": 0}
-    found = b["DECODE_SYMBOL"](stream, 0, frequencies)
-    return found, stream["state"][0], stream["word_at"]
+    decoded = b["DECODE_SYMBOL"](stream, 0, frequencies)
+    return decoded, stream["state"][0], stream["word_at"]
 
 
 def model(b: dict[str, Any], total: int) -> list[Any]:
@@ -592,10 +592,10 @@ def _decode_symbol(_: Proof, b: dict[str, Any]) -> None:
     """The symbols before the coded one act as one with the sum of their frequencies, and so do those behind it."""
     path = Path.now
     x, word = fresh(b["STATE_MIN"], (1 << 32) - 1, "state"), fresh(0, 0xFFFF, "word")
-    found, x, _words = symbol(b, x, word, model(b, 1 << b["PRECISION"]))
+    decoded, x, _words = symbol(b, x, word, model(b, 1 << b["PRECISION"]))
     path.oblige(x >= b["STATE_MIN"], "a state below STATE_MIN")
     path.oblige(x < 1 << 32, "a state of 2^32 or more")
-    assert found in (0, 1, 2)
+    assert decoded in (0, 1, 2)
 
 
 @proves("rANS: a step of the encoder, then one of the decoder (Annex B.4, 8.2)")
@@ -621,8 +621,8 @@ def _rans(proof: Proof, b: dict[str, Any]) -> None:
     x = eval(step, {}, names)
     path.oblige(x >= b["STATE_MIN"], "the encoder's state is below STATE_MIN")
     path.oblige(x < 1 << 32, "the encoder's state is 2^32 or more")
-    found, back, taken = symbol(b, x, word, frequencies)
-    path.oblige(found == 1, "another symbol")
+    decoded, back, taken = symbol(b, x, word, frequencies)
+    path.oblige(decoded == 1, "another symbol")
     path.oblige(taken == words, "the decoder takes a word that the encoder has not put out, or leaves one")
     path.oblige(back == start, "another state")
 

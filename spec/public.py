@@ -25,12 +25,12 @@ CHANGELOG.md at the last change: {news}
 
 def commands() -> dict[str, argparse.ArgumentParser]:
     """Returns the parsers of all commands by name, such as `refcodec encode`."""
-    found: dict[str, argparse.ArgumentParser] = {}
+    parsers: dict[str, argparse.ArgumentParser] = {}
     for parser in (make_parser(), conformance_parser()):
         for action in parser._actions:
             if isinstance(action, argparse._SubParsersAction):
-                found |= {f"{parser.prog} {name}": command for name, command in action.choices.items()}
-    return found
+                parsers |= {f"{parser.prog} {name}": command for name, command in action.choices.items()}
+    return parsers
 
 
 def _members(name: str, thing: type) -> Iterator[str]:

@@ -174,10 +174,10 @@ def fresh(low: int, high: int, name: str = "x") -> Any:
     """Returns any integer from low to high."""
     if low == high:
         return low
-    found = Num(z3.FreshInt(name), low, high)
-    found.tight = name not in ("extreme", "shifted")
-    Path.now.assume(z3.And(found.term >= low, found.term <= high))
-    return found
+    integer = Num(z3.FreshInt(name), low, high)
+    integer.tight = name not in ("extreme", "shifted")
+    Path.now.assume(z3.And(integer.term >= low, integer.term <= high))
+    return integer
 
 
 def below(a: Any, b: Any, strict: int) -> Any:
@@ -231,11 +231,11 @@ def times(a: Num, b: Num) -> Any:
     for i, j in product(ends(a), ends(b)):
         rest = p - i * b.term - j * a.term + i * j
         path.assume(rest >= 0 if (i == a.low) == (j == b.low) else rest <= 0)
-    found = Num(p, low, high)
-    found.factors = 2
+    result = Num(p, low, high)
+    result.factors = 2
     if a is b:
-        path.squares.append((a, found))
-    return found
+        path.squares.append((a, result))
+    return result
 
 
 def quotient(a: Any, b: Any) -> Any:
@@ -280,11 +280,11 @@ def extreme(sign: int, *given: Any) -> Any:
         left.append(sign * low)
     if len(left) == 1:
         return left[0]
-    found = fresh(*((low, high) if sign > 0 else (-high, -low)), "extreme")
+    result = fresh(*((low, high) if sign > 0 else (-high, -low)), "extreme")
     for x in left:
-        Path.now.assume(raw(found) >= raw(x) if sign > 0 else raw(found) <= raw(x))
-    Path.now.assume(z3.Or([raw(found) == raw(x) for x in left]))
-    return found
+        Path.now.assume(raw(result) >= raw(x) if sign > 0 else raw(result) <= raw(x))
+    Path.now.assume(z3.Or([raw(result) == raw(x) for x in left]))
+    return result
 
 
 def magnitude(x: Any) -> Any:
@@ -341,10 +341,10 @@ class Path:
         self.memory.queries += 1
         self.solver.push()
         self.solver.add(*terms)
-        found = self.solver.check()
-        self.model = self.solver.model() if found == z3.sat else None
+        verdict = self.solver.check()
+        self.model = self.solver.model() if verdict == z3.sat else None
         self.solver.pop()
-        return found
+        return verdict
 
     def holds(self, truth: Any) -> bool:
         """Whether a condition holds for all inputs of the path."""
@@ -395,10 +395,10 @@ class Path:
             return x
 
         def values() -> list[int]:
-            found: list[int] = []
-            while self.check(*[x.term != v for v in found]) == z3.sat:
-                found.append(self.model.eval(x.term, model_completion=True).as_long())
-            return found
+            seen: list[int] = []
+            while self.check(*[x.term != v for v in seen]) == z3.sat:
+                seen.append(self.model.eval(x.term, model_completion=True).as_long())
+            return seen
 
         outcome = self.take(values)
         self.assume(x.term == outcome)

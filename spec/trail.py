@@ -26,7 +26,7 @@ from refcodec.bitstream.ancillary import TYPES
 from refcodec.bitstream.errors import REGISTRY
 from refcodec.bitstream.header import HEADER_LENGTH_MAX, PROLOGUE_BYTES
 from refcodec.inspect.specification import Requirement, own_clauses
-from refcodec.inspect.trail import CodePlace, Record, Trail
+from refcodec.inspect.trail import CodePlace, Trail, TrailRecord
 
 from .made import ROOT
 
@@ -64,20 +64,20 @@ def _cited(comment: str) -> Iterator[str]:
     yield from re.findall(r"(?:Annex |SPEC |, |and |/\* )([A-H])\b(?![ .]\w)", comment)
 
 
-def _blocks(path: Path, found: Mentions) -> None:
+def _blocks(path: Path, mentions: Mentions) -> None:
     """Adds the functions and classes of the blocks of SPEC.md. Each cites the clause or the annex of its block."""
     text = path.read_text(encoding="utf-8")
     blocks = program.source(text)
-    _python(path.name, blocks, found)
+    _python(path.name, blocks, mentions)
     clauses = [re.match(r"##+ (?:Annex )?([A-H]|[\d.]+)\b", line) for line in text.splitlines()]
     for node in ast.parse(blocks).body:
         if isinstance(node, ast.FunctionDef | ast.ClassDef):
             own = next(match[1] for match in reversed(clauses[: node.lineno]) if match)
             for clause in (own, *CLAUSES.get(node.name, ())):
-                found.citing[clause].append(CodePlace(path.name, node.name))
+                mentions.citing[clause].append(CodePlace(path.name, node.name))
 
 
-def _python(name: str, source: str, found: Mentions) -> None:
+def _python(name: str, source: str, mentions: Mentions) -> None:
     """Adds the functions and classes of a Python module that raise errors or cite clauses.
 
     The comments above a function and its decorators belong to it.
@@ -97,17 +97,17 @@ def _python(name: str, source: str, found: Mentions) -> None:
             }
             for part in ast.walk(child):
                 if id(part) not in inner and isinstance(part, ast.Constant) and part.value in REGISTRY:
-                    found.raising[str(part.value)].append(CodePlace(name, own))
+                    mentions.raising[str(part.value)].append(CodePlace(name, own))
             text = "\n".join(lines[first : child.end_lineno])
             for line in re.findall(r"SPEC [^\n]*", text):
                 for clause in _cited(line):
-                    found.citing[clause].append(CodePlace(name, own))
+                    mentions.citing[clause].append(CodePlace(name, own))
             visit(child, own)
 
     visit(ast.parse(source), "")
 
 
-def _c(name: str, source: str, found: Mentions) -> None:
+def _c(name: str, source: str, mentions: Mentions) -> None:
     """Adds the functions of the decoder in C that refuse files or cite clauses.
 
     A function cites the clauses in the first line of the comment above it.
@@ -121,12 +121,12 @@ def _c(name: str, source: str, found: Mentions) -> None:
         if head:
             function = head[1]
             for clause in _cited(comment):
-                found.citing[clause].append(CodePlace(name, function))
+                mentions.citing[clause].append(CodePlace(name, function))
             comment = ""
         if function and line[:1].isspace():
             for word in re.findall(r"\b[A-Z]+_[A-Z_]+\b", line):
                 if word in known:
-                    found.raising[known[word]].append(CodePlace(name, function))
+                    mentions.raising[known[word]].append(CodePlace(name, function))
 
 
 def _innermost(places: Iterable[CodePlace]) -> list[CodePlace]:
@@ -139,15 +139,15 @@ def code() -> dict[str, Mentions]:
     """Returns the places in the code of each decoder."""
     every = {}
     for decoder, patterns in DECODERS.items():
-        found = Mentions(defaultdict(list), defaultdict(list))
+        mentions = Mentions(defaultdict(list), defaultdict(list))
         for pattern in patterns:
             for path in sorted(ROOT.glob(pattern)):
                 if path.suffix == ".md":
-                    _blocks(path, found)
+                    _blocks(path, mentions)
                 else:
                     name, source = path.relative_to(ROOT).as_posix(), path.read_text(encoding="utf-8")
-                    (_c if path.suffix == ".c" else _python)(name, source, found)
-        every[decoder] = found
+                    (_c if path.suffix == ".c" else _python)(name, source, mentions)
+        every[decoder] = mentions
     return every
 
 
@@ -172,11 +172,11 @@ def proofs() -> tuple[dict[str, list[CodePlace]], dict[str, list[CodePlace]]]:
 
 def by_name(suite: Manifest, names: Callable[[Vector], Iterable[str]]) -> dict[str, list[str]]:
     """Returns the ids of the vectors by name. names: returns the names of a vector."""
-    found = defaultdict(list)
+    ids = defaultdict(list)
     for vector in suite.vectors:
         for name in names(vector):
-            found[name].append(vector.id)
-    return found
+            ids[name].append(vector.id)
+    return ids
 
 
 def _clauses_of(suite: Manifest) -> Callable[[Vector], Iterator[str]]:
@@ -194,27 +194,27 @@ def _clauses_of(suite: Manifest) -> Callable[[Vector], Iterator[str]]:
     return clauses
 
 
-def trails(requirements: dict[str, Requirement], suite: Manifest) -> Record:
+def trails(requirements: dict[str, Requirement], suite: Manifest) -> TrailRecord:
     """Returns the trails of the requirements, and of the clauses that these leave without one, with all vectors.
 
     Raises SystemExit if a test or a vector names a requirement that SPEC.md does not have.
     """
-    found, (marked, citing), tried = code(), proofs(), by_name(suite, lambda v: v.requirements)
+    places_in, (marked, citing), tried = code(), proofs(), by_name(suite, lambda v: v.requirements)
     strangers = [name for name in (*marked, *tried) if name not in requirements]
     if strangers:
         raise SystemExit(f"SPEC.md does not have {', '.join(sorted(set(strangers)))}")
     own = {}
     for name, r in requirements.items():
-        decoders = WRITES if name[0] in "GE" else tuple(found)
-        every = {d: found[d].raising[r.error] if r.error else found[d].citing[r.clause] for d in decoders}
+        decoders = WRITES if name[0] in "GE" else tuple(places_in)
+        every = {d: places_in[d].raising[r.error] if r.error else places_in[d].citing[r.clause] for d in decoders}
         places = {d: _innermost(p for p in some if p.path.startswith(DECODING)) for d, some in every.items()}
         faults = [CodePlace(FAULTS[0], f"{FAULTS[1]}[{r.error}]")] if r.error else []
         own[name] = Trail(places, faults + marked[name], len(tried[name]), tried[name])
     stated, vectors = {r.clause for r in requirements.values()}, by_name(suite, _clauses_of(suite))
     others = {}
     for number in own_clauses():
-        places = {decoder: _innermost(mentions.citing[number]) for decoder, mentions in found.items()}
+        places = {decoder: _innermost(mentions.citing[number]) for decoder, mentions in places_in.items()}
         trail = Trail(places, citing[number], len(vectors[number]), vectors[number])
         if number not in stated and (any(places.values()) or trail.tests or trail.vectors):
             others[number] = trail
-    return Record(own, others)
+    return TrailRecord(own, others)

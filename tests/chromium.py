@@ -163,18 +163,18 @@ class Chromium:
             else:
                 self._take(message["method"], message["params"])
 
-    def _take(self, event: str, found: dict[str, Any]) -> None:
-        if event == "Target.attachedToTarget" and found["targetInfo"]["type"] == "worker":
-            self._begin(found["sessionId"])
+    def _take(self, event: str, fields: dict[str, Any]) -> None:
+        if event == "Target.attachedToTarget" and fields["targetInfo"]["type"] == "worker":
+            self._begin(fields["sessionId"])
         elif event == "Network.requestWillBeSent":
-            self.asked.append(found["request"]["url"])
+            self.asked.append(fields["request"]["url"])
         elif event == "Runtime.exceptionThrown":
-            details = found["exceptionDetails"]
+            details = fields["exceptionDetails"]
             self.said.append(details.get("exception", {}).get("description") or details["text"])
         elif event == "Runtime.consoleAPICalled":
-            self.said.append(" ".join(str(value.get("value", value.get("description"))) for value in found["args"]))
+            self.said.append(" ".join(str(value.get("value", value.get("description"))) for value in fields["args"]))
         elif event == "Log.entryAdded":
-            self.said.append(found["entry"]["text"])
+            self.said.append(fields["entry"]["text"])
 
     def open(self, url: str) -> None:
         """Opens a page and waits until it is loaded. Raises BrowserError."""

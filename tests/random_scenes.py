@@ -61,9 +61,9 @@ def random_scene(
 
 def random_networks(d: Dimensions, rng: np.random.Generator, gain: float = 1.0) -> Networks:
     """Returns networks of NumPy's random numbers, with outputs in useful ranges at gain 1."""
-    found: Networks = {}
+    networks: Networks = {}
     for name, shapes in d.network_shapes().items():
-        found[name] = []
+        networks[name] = []
         for index, (out, fan_in) in enumerate(shapes):
             last = index == len(shapes) - 1
             spread = gain * (0.05 if last else 1.0) / np.sqrt(max(fan_in, 1))
@@ -71,8 +71,8 @@ def random_networks(d: Dimensions, rng: np.random.Generator, gain: float = 1.0) 
             bias = rng.normal(0, 20 * gain, out).astype(np.float32)
             if last and name == "hyper":
                 bias[-3:] += 32
-            found[name].append((weight, bias))
-    return found
+            networks[name].append((weight, bias))
+    return networks
 
 
 def without_chunks(made: Scene, dropped: list[int]) -> Scene:

@@ -58,10 +58,10 @@ def may_be(user: int) -> bool:
     if os.geteuid() != 0:
         return False
     try:
-        found = subprocess.run([sys.executable, "-c", "import numpy"], **identity(user), check=False)
+        done = subprocess.run([sys.executable, "-c", "import numpy"], **identity(user), check=False)
     except OSError:
         return False
-    return found.returncode == 0
+    return done.returncode == 0
 
 
 @pytest.fixture(scope="module", params=["the same user", "another user"])
@@ -129,8 +129,8 @@ def test_coding(contained: Run) -> None:
         ("encode", "scene", "-o", "again.c3gs"),
         ("inspect", "again.c3gs", "--progress"),
     ):
-        found = contained(*words)
-        assert (found.returncode, "Traceback" in found.stderr) == (0, False), found.stderr
+        done = contained(*words)
+        assert (done.returncode, "Traceback" in done.stderr) == (0, False), done.stderr
     assert contained("decode", EXAMPLE, "-o", "../site/scene").returncode == 64
 
 
@@ -144,14 +144,14 @@ def test_drawing_and_learning(contained: Run) -> None:
         ("render", "trained.c3gs", "-o", "images"),
         ("eval", "trained.c3gs", PHOTOGRAPHS, "--size", "48"),
     ):
-        found = contained(*words)
-        assert found.returncode == 0, found.stderr
+        done = contained(*words)
+        assert done.returncode == 0, done.stderr
         if words[0] in ("render", "encode"):
-            assert ("NUMBA_CACHE_DIR" in found.stderr) == (words[0] == "render")
-        assert "Warning" not in found.stderr
-    found = contained("train", PHOTOGRAPHS, "-o", "no-place", "--steps", "3", "--size", "48")
-    assert found.returncode == 64
-    assert "tmp: Permission denied" in found.stderr.splitlines()[-1]
+            assert ("NUMBA_CACHE_DIR" in done.stderr) == (words[0] == "render")
+        assert "Warning" not in done.stderr
+    done = contained("train", PHOTOGRAPHS, "-o", "no-place", "--steps", "3", "--size", "48")
+    assert done.returncode == 64
+    assert "tmp: Permission denied" in done.stderr.splitlines()[-1]
 
 
 @pytest.mark.slow
@@ -160,10 +160,10 @@ def test_a_user_without_a_home_gets_no_folder_of_that_name(tmp_path: Path) -> No
     code = "import os\nos.path.expanduser = lambda path: path\nfrom refcodec.rendering import compiled, tiles\n"
     code += "print(compiled.is_kept())"
     environment = {k: v for k, v in os.environ.items() if k not in ("NUMBA_CACHE_DIR", "XDG_CACHE_HOME")}
-    found = subprocess.run(
+    done = subprocess.run(
         [sys.executable, "-c", code], cwd=tmp_path, env=environment, capture_output=True, text=True, check=True
     )
-    assert found.stdout == "False\n"
+    assert done.stdout == "False\n"
     assert list(tmp_path.iterdir()) == []
 
 
@@ -203,11 +203,11 @@ def test_streams_that_take_nothing(line: str, status: int, tmp_path: Path) -> No
     (tmp_path / "b.c3gs").write_bytes(b"no file of C3GS")
     if "/dev/full" in line and not Path("/dev/full").exists():
         pytest.skip("there is no /dev/full")
-    found = shell(line, tmp_path)
-    assert found.returncode == status, found.stderr
-    assert "Traceback" not in found.stderr
-    assert "Exception ignored" not in found.stderr
-    assert len(found.stderr.splitlines()) <= 1
+    done = shell(line, tmp_path)
+    assert done.returncode == status, done.stderr
+    assert "Traceback" not in done.stderr
+    assert "Exception ignored" not in done.stderr
+    assert len(done.stderr.splitlines()) <= 1
 
 
 def test_a_file_gets_nothing_of_a_closed_stream(tmp_path: Path) -> None:
@@ -228,9 +228,9 @@ def test_names_that_a_terminal_cannot_show(name: str, tmp_path: Path) -> None:
         return subprocess.run([*command, *words], cwd=tmp_path, env=env, capture_output=True, check=False)
 
     for words in (("validate",), ("inspect",), ("inspect", "--json")):
-        found = run(*words, name)
-        assert found.returncode == 0, found.stderr
-        assert all(byte == 10 or 32 <= byte < 127 for byte in found.stdout)
+        done = run(*words, name)
+        assert done.returncode == 0, done.stderr
+        assert all(byte == 10 or 32 <= byte < 127 for byte in done.stdout)
     assert len(run("validate", name).stdout.splitlines()) == 1
     (tmp_path / name).write_bytes(EXAMPLE.read_bytes()[:-1])
     refused = run("validate", name)

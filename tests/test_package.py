@@ -184,15 +184,15 @@ def test_the_source_distribution_is_whole(built: Path) -> None:
 
 @pytest.mark.slow
 def test_explain_works_away_from_the_checkout(away: Run) -> None:
-    found = away("refcodec", "explain", "432", "6.10")
-    assert found.returncode == 0, found.stderr
-    assert "R6.10-2" in found.stdout
-    assert "conformance/c/decoder.c:" in found.stdout
+    done = away("refcodec", "explain", "432", "6.10")
+    assert done.returncode == 0, done.stderr
+    assert "R6.10-2" in done.stdout
+    assert "conformance/c/decoder.c:" in done.stdout
 
 
 @pytest.mark.slow
 def test_the_suite_runs_away_from_the_checkout(away: Run) -> None:
     """`conformance run` finds the vectors that came with it; refcodec there passes those of one clause."""
     decoder = ("refcodec", "reconstruct", "{input}", "{output}")
-    found = away("conformance", "run", "--select", "requirement:R6.2-*", "--", *decoder)
-    assert found.returncode == 0, found.stdout + found.stderr
+    done = away("conformance", "run", "--select", "requirement:R6.2-*", "--", *decoder)
+    assert done.returncode == 0, done.stdout + done.stderr

@@ -64,7 +64,7 @@ class Word:
     text: str = ""
     default: Any = None
     required: bool = False
-    kind: kinds.Kind | None = None
+    kind: kinds.WordKind | None = None
     choices: tuple[str, ...] = ()
     many: bool = False
     flag: bool = False
@@ -116,7 +116,7 @@ def _alternatives(hint: Any) -> list[Any]:
     return [hint]
 
 
-def _kind(hint: Any) -> kinds.Kind | None:
+def _kind(hint: Any) -> kinds.WordKind | None:
     """Returns the kind of a type, or of the items of a sequence."""
     item = get_args(hint)[0] if get_origin(hint) is Sequence else hint
     return item.__metadata__[0] if get_origin(item) is Annotated else None

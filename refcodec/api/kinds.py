@@ -14,7 +14,7 @@ from ..bitstream import source
 
 
 @dataclass(frozen=True)
-class Kind:
+class WordKind:
     """The values of a word.
 
     metavar, allowed: for its help and its errors. read: makes a value of a text, and raises ValueError. right: whether
@@ -27,17 +27,17 @@ class Kind:
     right: Callable[[Any], bool] = lambda value: isinstance(value, str)
 
 
-def _number(read: type, metavar: str, allowed: str, low: float, high: float = math.inf) -> Kind:
+def _number(read: type, metavar: str, allowed: str, low: float, high: float = math.inf) -> WordKind:
     def right(value: Any) -> bool:
         number = isinstance(value, Integral if read is int else Real) and not isinstance(value, bool)
         # NaN is not between any numbers.
         return number and low <= value <= high and value != math.inf
 
-    return Kind(metavar, allowed, read, right)
+    return WordKind(metavar, allowed, read, right)
 
 
-def _path(metavar: str) -> Kind:
-    return Kind(metavar, "a path", str, lambda value: isinstance(value, str | os.PathLike))
+def _path(metavar: str) -> WordKind:
+    return WordKind(metavar, "a path", str, lambda value: isinstance(value, str | os.PathLike))
 
 
 def _byte_count(text: str) -> int:
@@ -64,12 +64,12 @@ Folder = Annotated[StrPath, _path("DIR")]
 SceneFolder = Annotated[StrPath, _path("SCENE_DIR")]
 LogPath = Annotated[StrPath, _path("FILE.csv|DIR")]
 Cameras = Annotated[StrPath, _path("default|orbit|PHOTOGRAPHS")]
-Size = Annotated[str, Kind("WxH", "a text such as 400x300, 400 or full")]
-Colour = Annotated[str, Kind("C", "white, black or R,G,B")]
-Key = Annotated[str, Kind("KEY")]
-Pattern = Annotated[str, Kind("PATTERN")]
-Change = Annotated[str, Kind("NAME=VALUE")]
-Meta = Annotated[str, Kind("KEY=VALUE|FILE")]
+Size = Annotated[str, WordKind("WxH", "a text such as 400x300, 400 or full")]
+Colour = Annotated[str, WordKind("C", "white, black or R,G,B")]
+Key = Annotated[str, WordKind("KEY")]
+Pattern = Annotated[str, WordKind("PATTERN")]
+Change = Annotated[str, WordKind("NAME=VALUE")]
+Meta = Annotated[str, WordKind("KEY=VALUE|FILE")]
 FitCameras = Annotated[StrPath, _path("PHOTOGRAPHS")]
 Count = Annotated[int, _number(int, "N", "a whole number of at least 0", 0)]
 Positive = Annotated[int, _number(int, "N", "a whole number of at least 1", 1)]
@@ -83,8 +83,8 @@ Length = Annotated[float, _number(float, "V", "a number above 0", math.ulp(0.0))
 Decibels = Annotated[float, _number(float, "DB", "a number from 20 to 70", 20, 70)]
 # SPEC 13.1
 Work = Annotated[int, _number(int, "UNITS", "a whole number of at least 0", 0)]
-Bytes = Annotated[int, Kind("BYTES", "a number of bytes such as 800M", _byte_count, get_args(Positive)[1].right)]
-Chunks = Annotated[range, Kind("A:B", "A:B with A below B", _range, _is_range)]
+Bytes = Annotated[int, WordKind("BYTES", "a number of bytes such as 800M", _byte_count, get_args(Positive)[1].right)]
+Chunks = Annotated[range, WordKind("A:B", "A:B with A below B", _range, _is_range)]
 Preset = Literal["fast", "paper"]
 Device = Literal["cpu", "cuda"]
 # SPEC 6.5: the index of an axis is its number.

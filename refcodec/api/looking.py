@@ -160,14 +160,14 @@ def _page(file: kinds.Place, path: Path, words: ReadingWords) -> Report:
     from ..folder.places import check_outputs, decode_stream, read_whole, reading, shown_name
     from ..inspect import summary
     from ..inspect.page.document import PAGE, page
-    from ..inspect.page.measures import Measures
+    from ..inspect.page.measures import SceneMeasures
 
     check_outputs([file], (path, PAGE))
     with reading(file, words) as (stored, left):
         # The page reads bytes in many places. A URL is fetched once.
         source = WholeFile(read_whole(file, words)) if isinstance(stored, RemoteFile) else stored
         header = read_header(source)
-        digest, measures = StreamDigest(), Measures(header.dimensions, header.anchor_count)
+        digest, measures = StreamDigest(), SceneMeasures(header.dimensions, header.anchor_count)
 
         def add(scene: CodedScene) -> None:
             digest.add(scene)

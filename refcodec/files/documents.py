@@ -62,8 +62,8 @@ def parse_json(data: bytes | str, most: int = SIZE_MAX) -> Any:
 
 def parse_toml(data: bytes | str, most: int = TOML_MAX) -> dict[str, Any]:
     """Returns the values of a TOML text. Arguments and errors: as for parse_json."""
-    found: dict[str, Any] = _parsed("TOML", tomllib.loads, data, most)
-    return found
+    values: dict[str, Any] = _parsed("TOML", tomllib.loads, data, most)
+    return values
 
 
 def read_json(path: Path, most: int = SIZE_MAX) -> Any:
@@ -93,17 +93,17 @@ def checked(value: Any, kind: Any) -> Any:
 
 
 def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    found = dict(pairs)
-    if len(found) != len(pairs):
+    members = dict(pairs)
+    if len(members) != len(pairs):
         raise DocumentError("a name stands twice in an object")
-    return found
+    return members
 
 
 def _parsed(kind: str, parse: Callable[[str], Any], data: bytes | str, most: int) -> Any:
     if len(data) > most:
         raise DocumentError(f"more than {most} bytes")
     try:
-        found = parse(data if isinstance(data, str) else data.decode("utf-8"))
+        parsed = parse(data if isinstance(data, str) else data.decode("utf-8"))
     except DocumentError:
         raise
     except UnicodeDecodeError as error:
@@ -113,7 +113,7 @@ def _parsed(kind: str, parse: Callable[[str], Any], data: bytes | str, most: int
         raise DocumentError(f"nested deeper than {DEPTH_MAX}") from None
     except ValueError as error:
         raise DocumentError(f"not {kind} ({error})") from None
-    depth, level = 0, [found]
+    depth, level = 0, [parsed]
     while level:
         inner: list[Any] = []
         for value in level:
@@ -126,4 +126,4 @@ def _parsed(kind: str, parse: Callable[[str], Any], data: bytes | str, most: int
                     raise DocumentError(f"nested deeper than {DEPTH_MAX}")
                 inner += value.values() if isinstance(value, dict) else value
         depth, level = depth + 1, inner
-    return found
+    return parsed

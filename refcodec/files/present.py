@@ -43,9 +43,9 @@ def is_there(path: Path, kind: int = stat.S_IFREG) -> bool:
         if error.errno == errno.ELOOP:
             raise NotAFileError(f"it is a link in a circle, not a {wanted}") from None
         raise
-    found = stat.S_IFMT(mode)
-    if found != kind:
-        raise NotAFileError(f"it is {_KINDS.get(found, 'a file')}, not a {wanted}")
+    actual = stat.S_IFMT(mode)
+    if actual != kind:
+        raise NotAFileError(f"it is {_KINDS.get(actual, 'a file')}, not a {wanted}")
     return True
 
 

@@ -104,8 +104,8 @@ class _Stored:
     def fetch(self, start: int, size: int) -> bytes:
         """Returns a range of bytes. Raises ValueError for another length."""
         self._file.seek(start)
-        found: bytes = self._file.read(size)
-        return _whole(found, size)
+        data: bytes = self._file.read(size)
+        return _whole(data, size)
 
     def close(self) -> None:
         """Closes the file."""
@@ -123,19 +123,19 @@ class _Web:
 
     def head(self) -> tuple[bytes, int]:
         """Returns the first bytes, and the file length that the server states."""
-        found, self._length, self._validators = self._asked(0, HEAD_BYTES)
-        return _whole(found, min(HEAD_BYTES, self._length)), self._length
+        data, self._length, self._validators = self._asked(0, HEAD_BYTES)
+        return _whole(data, min(HEAD_BYTES, self._length)), self._length
 
     def fetch(self, start: int, size: int) -> bytes:
         """Returns a range of bytes. Raises ValueError for another length, or a changed file."""
-        found, length, validators = self._asked(start, size)
+        data, length, validators = self._asked(start, size)
         if length != self._length:
             raise ValueError(f"it changed while it was read: its length was {self._length} bytes, and is {length} now")
         for name, before in self._validators.items():
             if name in validators and validators[name] != before:
                 now = validators[name]
                 raise ValueError(f"it changed while it was read: its {name} was {before}, and is {now} now")
-        return _whole(found, size)
+        return _whole(data, size)
 
     def close(self) -> None:
         """Does nothing: fsspec closes the connections."""
@@ -187,15 +187,15 @@ class _Web:
             stated = _CONTENT_RANGE.fullmatch(text)
             if stated is None or int(stated[1]) != start:
                 raise ValueError(f"the server sends another range than the one from {start} on ({text})")
-            found = bytearray()
-            while len(found) <= size and (block := stream.read(size + 1 - len(found))):
-                found += block
+            data = bytearray()
+            while len(data) <= size and (block := stream.read(size + 1 - len(data))):
+                data += block
             validators = {name: value for name in _VALIDATORS if (value := stream.r.headers.get(name))}
-            return bytes(found), int(stated[2]), validators
+            return bytes(data), int(stated[2]), validators
 
 
-def _whole(found: bytes, size: int) -> bytes:
-    if len(found) != size:
-        more = "more" if len(found) > size else f"{len(found)}"
+def _whole(data: bytes, size: int) -> bytes:
+    if len(data) != size:
+        more = "more" if len(data) > size else f"{len(data)}"
         raise ValueError(f"the server sends {more} bytes where it should send {size}")
-    return found
+    return data

@@ -89,7 +89,7 @@ def _remove_dead(folder: Path) -> None:
     from filelock import FileLock
 
     with contextlib.suppress(OSError):
-        for name in {found[1] for entry in os.scandir(folder) if (found := _TEMPORARY.fullmatch(entry.name))}:
+        for name in {temporary[1] for entry in os.scandir(folder) if (temporary := _TEMPORARY.fullmatch(entry.name))}:
             with contextlib.suppress(OSError), FileLock(folder / f"{name}.lock", timeout=0):
                 shutil.rmtree(folder / name, ignore_errors=True)
                 (folder / f"{name}.lock").unlink()

@@ -22,9 +22,9 @@ def printable(text: str, most: int | None = None, lines: bool = False) -> str:
     """
     kept = _LAYOUT if lines else ""
     # No more characters are converted than may be shown.
-    found = text if most is None else text[:most]
-    shown = "".join(c if c.isprintable() or c in kept else c.encode("unicode_escape").decode() for c in found)
-    if most is None or (len(shown) <= most and len(found) == len(text)):
+    beginning = text if most is None else text[:most]
+    shown = "".join(c if c.isprintable() or c in kept else c.encode("unicode_escape").decode() for c in beginning)
+    if most is None or (len(shown) <= most and len(beginning) == len(text)):
         return shown
     return f"{shown[:most]}... ({len(text)} characters)"
 

@@ -155,7 +155,7 @@ class SceneFile(Struct):
     fingerprint: Any = None
 
 
-class Document(Generic[T]):
+class FolderDocument(Generic[T]):
     """scene.json or render.json. root: its JSON value. values: the same, checked."""
 
     file: Path

@@ -102,8 +102,8 @@ def check_scene_folder(path: Path) -> None:
 def scene_files(path: Path) -> list[Path]:
     """Returns the files that writing a scene to a folder makes, replaces or removes. Some may be missing."""
     fixed = (SCENE_FILE, PLY_FILE, NETWORKS_FILE, PLANES_FILE, CODED_FILE, RENDER_FILE)
-    found = sorted(os.listdir(path)) if path.is_dir() else []
-    return [path / name for name in (*fixed, *(name for name in found if ANCILLARY_FILE.fullmatch(name)))]
+    names = sorted(os.listdir(path)) if path.is_dir() else []
+    return [path / name for name in (*fixed, *(name for name in names if ANCILLARY_FILE.fullmatch(name)))]
 
 
 def ancillary_name(number: int, kind: bytes) -> str:

@@ -81,7 +81,7 @@ def write_cloud(r: Reconstruction, masks: NDArray[np.bool_], path: str | Path) -
         CloudFile(file, len(masks), masks.shape[1], r.features.shape[1]).add(r, masks)
 
 
-class Columns:
+class PlyColumns:
     """The vertex properties of a PLY file, as float32 columns. count: the number of vertices."""
 
     data: NDArray[Any]
@@ -140,7 +140,7 @@ def read_cloud(path: str | Path) -> AnchorCloud:
     file = Path(path)
     if not there(file, "give a point_cloud.ply in the layout of Scaffold-GS"):
         raise SceneFolderError(file, "there is no such file", "give a point_cloud.ply in the layout of Scaffold-GS")
-    columns = Columns(file)
+    columns = PlyColumns(file)
     advice = "give a point_cloud.ply in the layout of Scaffold-GS"
     names = {stem: columns.names(stem) for stem in ("xyz", "f_offset_", "f_mask_", "f_anchor_feat_", "scale_")}
     count = len(names["f_offset_"]) // 3

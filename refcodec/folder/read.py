@@ -26,7 +26,7 @@ from ..bitstream.scene import Ancillary, Scene
 from ..bitstream.tables import STEP_LENGTH
 from ..files.text import printable
 from .arrays import Wanted, check_arrays, read_arrays, read_networks
-from .document import Document, SceneFile, single
+from .document import FolderDocument, SceneFile, single
 from .layout import (
     CODED_FILE,
     NETWORKS_FILE,
@@ -38,7 +38,7 @@ from .layout import (
     fingerprint,
     there,
 )
-from .ply import Columns, ply_values, read_cloud
+from .ply import PlyColumns, ply_values, read_cloud
 
 AGAIN = "restore it, or decode again"
 
@@ -61,7 +61,7 @@ def read_folder(path: str | Path) -> Scene:
     ):
         if not there(path / name, advice):
             raise SceneFolderError(path / name, "the file is missing", advice)
-    document = Document(path / SCENE_FILE, SceneFile)
+    document = FolderDocument(path / SCENE_FILE, SceneFile)
     bare = _read_document(document, path)
     if not there(path / CODED_FILE, f"restore it, or remove it so that encode quantises {PLY_FILE} again"):
         return _without_unsafe(_requantise(bare, path))
@@ -78,7 +78,7 @@ def _without_unsafe(scene: Scene) -> Scene:
     return replace(scene, ancillary=tuple(a for a in scene.ancillary if is_safe_to_copy(a.type)))
 
 
-def _read_dimensions(doc: Document[SceneFile], render_model: int) -> tuple[Dimensions, int]:
+def _read_dimensions(doc: FolderDocument[SceneFile], render_model: int) -> tuple[Dimensions, int]:
     names = {p.name: number for number, p in PROFILES.items()}
     profile = doc.values.profile
     if profile not in names:
@@ -90,7 +90,7 @@ def _read_dimensions(doc: Document[SceneFile], render_model: int) -> tuple[Dimen
     return doc.values.dimensions, names[profile]
 
 
-def _read_document(doc: Document[SceneFile], path: Path) -> Scene:
+def _read_document(doc: FolderDocument[SceneFile], path: Path) -> Scene:
     """Returns the scene without anchors, which are in coded.safetensors."""
     values, render = doc.values, RenderInfo(*single(astuple(doc.values.render)))
     d, profile = _read_dimensions(doc, render.render_model)
@@ -139,7 +139,7 @@ def _read_document(doc: Document[SceneFile], path: Path) -> Scene:
     )
 
 
-def _read_chunks(doc: Document[SceneFile], n: int) -> tuple[tuple[int, ...] | None, tuple[int, ...] | None]:
+def _read_chunks(doc: FolderDocument[SceneFile], n: int) -> tuple[tuple[int, ...] | None, tuple[int, ...] | None]:
     """Returns the anchor count and the position form of each chunk, or None for the encoder's choice. n: N."""
     anchors = doc.values.chunk_anchors
     if anchors is None:
@@ -150,20 +150,20 @@ def _read_chunks(doc: Document[SceneFile], n: int) -> tuple[tuple[int, ...] | No
     return tuple(anchors), None if forms is None else tuple(doc.sized("position_forms", len(anchors)))
 
 
-def _read_position_model(doc: Document[SceneFile]) -> PositionModel | None:
+def _read_position_model(doc: FolderDocument[SceneFile]) -> PositionModel | None:
     """Returns the model of packed positions (SPEC 5.15), or None if positions are not packed."""
-    found = doc.values.position_model
-    if found is None:
+    fields = doc.values.position_model
+    if fields is None:
         return None
-    model = PositionModel(found.cell_shift, np.array(found.frequency, np.uint16))
+    model = PositionModel(fields.cell_shift, np.array(fields.frequency, np.uint16))
     fault = model.fault()
     if fault is not None:
         raise doc.fault(f"position_model.frequency[{fault}]", "is not a model (SPEC.md 6.10)")
     return model
 
 
-def _read_ancillary(doc: Document[SceneFile], path: Path) -> tuple[Ancillary, ...]:
-    found: list[Ancillary] = []
+def _read_ancillary(doc: FolderDocument[SceneFile], path: Path) -> tuple[Ancillary, ...]:
+    sections: list[Ancillary] = []
     for i, entry in enumerate(doc.values.ancillary):
         kind = entry.type.encode()
         # Only the expected name is allowed, so that scene.json cannot point outside the folder.
@@ -173,8 +173,8 @@ def _read_ancillary(doc: Document[SceneFile], path: Path) -> tuple[Ancillary, ..
         advice = f'restore it, or delete its entry in "ancillary" of {SCENE_FILE}'
         if not there(path / name, advice):
             raise SceneFolderError(path / name, "the file is missing", advice)
-        found.append(Ancillary(kind, entry.mode, (path / name).read_bytes(), entry.after))
-    return tuple(found)
+        sections.append(Ancillary(kind, entry.mode, (path / name).read_bytes(), entry.after))
+    return tuple(sections)
 
 
 def _arrays(file: Path, wanted: Wanted) -> dict[str, NDArray[Any]]:
@@ -184,7 +184,7 @@ def _arrays(file: Path, wanted: Wanted) -> dict[str, NDArray[Any]]:
     return arrays
 
 
-def _read_coded(bare: Scene, doc: Document[SceneFile], path: Path) -> Scene:
+def _read_coded(bare: Scene, doc: FolderDocument[SceneFile], path: Path) -> Scene:
     d, file = bare.dimensions, path / CODED_FILE
     if "anchor_count" not in doc.root:
         raise doc.fault("anchor_count", "is missing")
@@ -234,7 +234,7 @@ def _compare_ply(scene: Scene, path: Path) -> None:
     """
     file = path / PLY_FILE
     advice = f"to encode {PLY_FILE} as it is now, delete {CODED_FILE}; to undo the change, decode again"
-    columns = Columns(file)
+    columns = PlyColumns(file)
     if columns.count != scene.anchor_count:
         raise SceneFolderError(
             file, f"it has {columns.count} anchors, but {CODED_FILE} has {scene.anchor_count}", advice
@@ -242,24 +242,24 @@ def _compare_ply(scene: Scene, path: Path) -> None:
     for stem, wanted in ply_values(reconstruct(scene), scene.masks).items():
         names = columns.names(stem)
         if not names and stem == "f_mask_":
-            found = np.ones_like(wanted)
+            values = np.ones_like(wanted)
         elif len(names) != wanted.shape[1]:
             raise SceneFolderError(
                 file, f"it has {len(names)} properties {stem}*, but must have {wanted.shape[1]}", advice
             )
         else:
-            found = columns.array(names)
-        differs = found.view(np.uint32) != np.ascontiguousarray(wanted).view(np.uint32)
+            values = columns.array(names)
+        differs = values.view(np.uint32) != np.ascontiguousarray(wanted).view(np.uint32)
         if differs.any():
             anchor, column = (int(i) for i in np.argwhere(differs)[0])
             name = names[column] if names else f"f_mask_{column}"
             problem = (
-                f"{name} of anchor {anchor} is {found[anchor, column]}, {CODED_FILE} gives {wanted[anchor, column]}"
+                f"{name} of anchor {anchor} is {values[anchor, column]}, {CODED_FILE} gives {wanted[anchor, column]}"
             )
             raise SceneFolderError(file, problem, advice)
 
 
-def _compare_digest(scene: Scene, doc: Document[SceneFile]) -> None:
+def _compare_digest(scene: Scene, doc: FolderDocument[SceneFile]) -> None:
     """Raises SceneFolderError if the digest in scene.json is not the scene's. Without a digest, nothing is checked."""
     stated = doc.values.digest
     if stated is None:
@@ -277,14 +277,14 @@ def _requantise(bare: Scene, path: Path) -> Scene:
 
     d, file = bare.dimensions, path / PLY_FILE
     cloud = read_cloud(file)
-    for name, found, wanted in (
+    for name, count, wanted in (
         ("offsets", cloud.masks.shape[1], d.offset_count),
         ("features", cloud.features.shape[1], d.features),
     ):
-        if found != wanted:
+        if count != wanted:
             raise SceneFolderError(
                 file,
-                f"its anchors have {found} {name}, but {SCENE_FILE} states {wanted}",
+                f"its anchors have {count} {name}, but {SCENE_FILE} states {wanted}",
                 "use the point cloud that the networks fit",
             )
     try:

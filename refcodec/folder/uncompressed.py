@@ -25,7 +25,7 @@ from ..bitstream.networks import Layer
 from ..bitstream.reconstruction import Reconstruction
 from ..files.stage import new_file
 from .arrays import read_arrays, read_networks, write_networks
-from .document import Document, RenderFile, single
+from .document import FolderDocument, RenderFile, single
 from .layout import NETWORKS_FILE, PLY_FILE, RENDER_FILE, UNCOMPRESSED, replace_scene, there
 from .ply import read_cloud, write_cloud
 
@@ -102,18 +102,18 @@ def render_document(render: RenderInfo, cameras: Sequence[NamedCamera], voxel: f
 
 def read_render_document(file: Path) -> tuple[RenderInfo, tuple[NamedCamera, ...], float | None]:
     """Returns the render information, the cameras and the voxel of a render.json. Raises SceneFolderError."""
-    document = Document(file, RenderFile, UNCOMPRESSED, AGAIN)
+    document = FolderDocument(file, RenderFile, UNCOMPRESSED, AGAIN)
     values = document.values
     listed = [values.camera] if values.camera else values.cameras
     if listed is None:
         raise document.fault("cameras", "is missing")
-    found = tuple(NamedCamera(*single(astuple(fields))) for fields in listed)
-    for number, camera in enumerate(found):
+    cameras = tuple(NamedCamera(*single(astuple(fields))) for fields in listed)
+    for number, camera in enumerate(cameras):
         if fault := camera.fault():
             raise document.fault("camera" if values.camera else f"cameras[{number}]", f"is not allowed: {fault}")
-    if len({camera.name for camera in found}) < len(found):
+    if len({camera.name for camera in cameras}) < len(cameras):
         raise document.fault("cameras", "has two cameras with the same name; names must differ")
-    return RenderInfo(*single(astuple(values.render))), found, single(values.voxel)
+    return RenderInfo(*single(astuple(values.render))), cameras, single(values.voxel)
 
 
 def read_uncompressed(path: Path) -> Uncompressed:

@@ -117,7 +117,7 @@ def decode_folder(
         sizes: list[int] = []
         forms: list[int] = []
 
-        def found() -> Iterator[Scene]:
+        def blocks() -> Iterator[Scene]:
             for piece in pieces(opened, chosen, damage=noted, progress=progress):
                 sizes.extend(piece.chunk_anchors or ())
                 forms.extend(piece.position_forms or ())
@@ -132,7 +132,7 @@ def decode_folder(
             return replace(opened.scene([]), chunk_anchors=tuple(sizes), position_forms=tuple(forms))
 
         count = sum(len(index[number].anchors) for number in chosen)
-        digests[:] = _write_files(folder, count, opened.scene([]), found(), whole, damage, numbers)
+        digests[:] = _write_files(folder, count, opened.scene([]), blocks(), whole, damage, numbers)
 
     def write(folder: Path) -> None:
         write_chunks(folder, wanted, damage if keep_going else None, False)
@@ -252,20 +252,20 @@ def _scene_document(scene: Scene, count: int, digest: tuple[str, dict[str, str]]
 
 def _coding_document(scene: Scene) -> dict[str, Any]:
     """Returns the coding parameters. The encoder chooses missing ones."""
-    found: dict[str, Any] = {}
+    coding: dict[str, Any] = {}
     if model := scene.position_model:
-        found["position_model"] = {"cell_shift": model.cell_shift, "frequency": model.frequency.tolist()}
+        coding["position_model"] = {"cell_shift": model.cell_shift, "frequency": model.frequency.tolist()}
     if scene.weight_scales is not None:
-        found["weight_scales"] = scene.weight_scales.tolist()
+        coding["weight_scales"] = scene.weight_scales.tolist()
     if scene.chunk_anchors is not None:
-        found["chunk_anchors"] = list(scene.chunk_anchors)
+        coding["chunk_anchors"] = list(scene.chunk_anchors)
     if scene.position_forms is not None:
-        found["position_forms"] = list(scene.position_forms)
+        coding["position_forms"] = list(scene.position_forms)
     if scene.weight_forms is not None:
-        found["weight_forms"] = scene.weight_forms.tolist()
+        coding["weight_forms"] = scene.weight_forms.tolist()
     if scene.minor or scene.later:
-        found |= {"minor": scene.minor, "later": list(scene.later)}
-    return found
+        coding |= {"minor": scene.minor, "later": list(scene.later)}
+    return coding
 
 
 def _json_text(document: dict[str, Any]) -> str:

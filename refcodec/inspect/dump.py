@@ -82,10 +82,10 @@ def about_lines(data: bytes, near: int) -> Iterator[str]:
     """Yields lines about the element at a byte: its meaning, clauses and requirements, and a command for more."""
     row = next((row for row in rows(data) if row.end > min(near, len(data) - 1)), None)
     if row is not None:
-        found = meaning(row.path, outline_of(data).render_model)
+        element = meaning(row.path, outline_of(data).render_model)
         yield ""
-        yield from element_lines(row.path, found)
-        yield from requirement_lines(found)
+        yield from element_lines(row.path, element)
+        yield from requirement_lines(element)
         yield f"  more         refcodec explain {shlex.quote(row.path)}"
 
 

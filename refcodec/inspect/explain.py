@@ -214,28 +214,28 @@ def _field_line(name: str) -> str:
     return f"  {kind}, {words} ({table}, {TABLE_CLAUSES[table]})"
 
 
-def element_lines(path: str, found: Meaning) -> Iterator[str]:
-    """Yields lines with the meaning and the clauses of an element. found: its meaning."""
+def element_lines(path: str, element: Meaning) -> Iterator[str]:
+    """Yields lines with the meaning and the clauses of an element. element: its meaning."""
     yield path
-    yield _field_line(f"{found.table}.{found.field}") if found.table else f"  {found.words}"
-    yield f"  clauses      {', '.join(map(_clause_name, found.clauses))}"
+    yield _field_line(f"{element.table}.{element.field}") if element.table else f"  {element.words}"
+    yield f"  clauses      {', '.join(map(_clause_name, element.clauses))}"
 
 
-def requirement_lines(found: Meaning) -> Iterator[str]:
+def requirement_lines(element: Meaning) -> Iterator[str]:
     """Yields lines with the requirements on an element, in words."""
-    for i, name in enumerate(found.requirements):
+    for i, name in enumerate(element.requirements):
         yield from _wrapped(f"{name}: {own_requirements()[name].text}", f"{'' if i else 'requirements':<13}")
 
 
-def _element_lines(path: str, found: Meaning) -> Iterator[str]:
+def _element_lines(path: str, element: Meaning) -> Iterator[str]:
     """Yields an element, the trails of its requirements, and those of its clauses without requirements."""
-    yield from element_lines(path, found)
-    yield f"  requirements {', '.join(found.requirements)}"
-    for number in found.clauses:
+    yield from element_lines(path, element)
+    yield f"  requirements {', '.join(element.requirements)}"
+    for number in element.clauses:
         if number in record().clauses:
             yield ""
-            yield from _short_lines(number, found.field)
-    for name in found.requirements:
+            yield from _short_lines(number, element.field)
+    for name in element.requirements:
         yield ""
         yield from _requirement_lines(name)
 

@@ -28,7 +28,7 @@ class Trail(msgspec.Struct):
     vectors: list[str]
 
 
-class Record(msgspec.Struct):
+class TrailRecord(msgspec.Struct):
     """The trails of the requirements by identifier, and of the clauses without requirements by number."""
 
     requirements: dict[str, Trail]
@@ -36,6 +36,6 @@ class Record(msgspec.Struct):
 
 
 @cache
-def record() -> Record:
+def record() -> TrailRecord:
     """Returns the record that came with the program."""
-    return msgspec.json.decode(find("data/trail.json").read_bytes(), type=Record)
+    return msgspec.json.decode(find("data/trail.json").read_bytes(), type=TrailRecord)

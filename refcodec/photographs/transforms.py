@@ -46,7 +46,7 @@ REPAIR = "write the file again with the program that made it"
 Row = tuple[float, float, float, float]
 
 
-class Frame(Struct):
+class TransformsFrame(Struct):
     """A frame, with the values of its file where it has none."""
 
     file_path: str
@@ -133,7 +133,7 @@ def _frames(file: Path, document: dict[str, Any]) -> tuple[list[Shot], int]:
         where = f"{file}, frame {index}"
         try:
             # Values of a frame override those of the file.
-            frame = checked({**shared, **checked(stated, dict[str, Any])}, Frame)
+            frame = checked({**shared, **checked(stated, dict[str, Any])}, TransformsFrame)
         except FieldError as error:
             raise PhotographError(where, str(error), REPAIR) from None
         if frame.transform_matrix is None:
@@ -165,7 +165,7 @@ def _inside(where: str, folder: Path, key: str, stated: object) -> Path:
     return folder / str(stated)
 
 
-def _shot(where: str, folder: Path, frame: Frame) -> Shot:
+def _shot(where: str, folder: Path, frame: TransformsFrame) -> Shot:
     stem = _inside(where, folder, "file_path", frame.file_path)
     # A dangling link is the file that is meant, and it is missing.
     places = [folder / f"{frame.file_path}{suffix}" for suffix in SUFFIXES]
@@ -187,7 +187,7 @@ def _shot(where: str, folder: Path, frame: Frame) -> Shot:
     return Shot(path, camera, distortion)
 
 
-def _distortion(where: str, frame: Frame) -> Distortion:
+def _distortion(where: str, frame: TransformsFrame) -> Distortion:
     model, supported = frame.camera_model, f"is not supported; the supported models are {', '.join(MODELS)}"
     # nerfstudio calls a pinhole camera PERSPECTIVE, too.
     if model not in (*MODELS, "PERSPECTIVE") or frame.is_fisheye:
@@ -200,7 +200,7 @@ def _distortion(where: str, frame: Frame) -> Distortion:
     return (frame.k1 or 0.0, frame.k2 or 0.0, frame.p1 or 0.0, frame.p2 or 0.0)
 
 
-def _focal(where: str, frame: Frame, width: int, height: int) -> tuple[float, float]:
+def _focal(where: str, frame: TransformsFrame, width: int, height: int) -> tuple[float, float]:
     """Returns the focal lengths of fl_x and fl_y, or of the angles of view. A single one is used for both."""
     out: list[float | None] = []
     for axis, side in (("x", width), ("y", height)):

@@ -143,10 +143,10 @@ def gaussians_of(scene: Scene, camera: Camera, values: Reconstruction | None = N
     Raises RenderModelError.
     """
     check_render_model(scene.render)
-    found = reconstruct(scene) if values is None else values
+    known = reconstruct(scene) if values is None else values
     if scene.render.render_model == STATIC:
-        return static_gaussians(static_splats(scene, found), scene.masks, camera)
-    return gaussians(found, scene.masks, scene.networks, camera, scene.render.distance_unit)
+        return static_gaussians(static_splats(scene, known), scene.masks, camera)
+    return gaussians(known, scene.masks, scene.networks, camera, scene.render.distance_unit)
 
 
 # SPEC 9.4

@@ -38,21 +38,21 @@ def bundle(entry: Path) -> str:
         begun.append(path)
         names: list[str] = []
 
-        def imported(found: re.Match[str]) -> str:
-            taken = ", ".join(word.strip().replace(" as ", ": ") for word in found[1].split(",") if word.strip())
-            return f"const {{ {taken} }} = {add(path.parent / found[2])};\n"
+        def imported(match: re.Match[str]) -> str:
+            taken = ", ".join(word.strip().replace(" as ", ": ") for word in match[1].split(",") if word.strip())
+            return f"const {{ {taken} }} = {add(path.parent / match[2])};\n"
 
-        def passed_on(found: re.Match[str]) -> str:
-            source = add(path.parent / found[2])
-            taken = [word.strip() for word in found[1].split(",") if word.strip()]
+        def passed_on(match: re.Match[str]) -> str:
+            source = add(path.parent / match[2])
+            taken = [word.strip() for word in match[1].split(",") if word.strip()]
             if any(" as " in word for word in taken):
                 raise ValueError(f"{path.name}: export under another name")
             names.extend(f"{word}: {source}.{word}" for word in taken)
             return ""
 
-        def exported(found: re.Match[str]) -> str:
-            names.append(found[2])
-            return f"{found[1]} {found[2]}"
+        def exported(match: re.Match[str]) -> str:
+            names.append(match[2])
+            return f"{match[1]} {match[2]}"
 
         text = path.read_text(encoding="utf-8")
         text = _EXPORT.sub(exported, _PASSED_ON.sub(passed_on, _IMPORT.sub(imported, text)))

@@ -17,9 +17,9 @@ MOST = 8
 _QUALITY = 88
 
 
-def embedded(found: PhotographSet) -> list[dict[str, Any]]:
+def embedded(photographs: PhotographSet) -> list[dict[str, Any]]:
     """Returns photographs for `page.page`, those held out for tests if there are any. Raises PhotographError."""
-    return [_document(photograph) for photograph in _spread(found.test or found.train)]
+    return [_document(photograph) for photograph in _spread(photographs.test or photographs.train)]
 
 
 def _spread(photographs: Sequence[Photograph]) -> list[Photograph]:

@@ -45,14 +45,14 @@ def scene() -> refcodec.Scene:
 def _variants(value: Any) -> list[Any]:
     """A value or a dataclass with each field in turn, nested ones too, replaced by what does not belong there."""
     strange = [None, -1, 9, 1 << 16, 1 << 40, 1 << 70, 1.5, float("nan"), 1e300, "x", b"x", (), [0], {}, np.zeros(3)]
-    found = list(strange)
+    variants = list(strange)
     if is_dataclass(value) and not isinstance(value, type):
-        found += [
+        variants += [
             replace(value, **{field.name: other})
             for field in fields(value)
             for other in _variants(getattr(value, field.name))
         ]
-    return found
+    return variants
 
 
 @pytest.mark.parametrize("name", ["valid/main-packed.c3gs", "valid/worked-example.c3gs"])
@@ -66,19 +66,19 @@ def test_encode_says_what_is_wrong_with_a_field(name: str, monkeypatch: pytest.M
     outcomes = []
     for path in paths()[:2]:
         monkeypatch.setenv("REFCODEC_PATH", path)
-        said = []
+        texts = []
         for scene in scenes:
             try:
-                said.append(refcodec.encode(refcodec.Scene(scene)).hex())
+                texts.append(refcodec.encode(refcodec.Scene(scene)).hex())
             except (ValueError, TypeError) as error:
-                said.append(f"{type(error).__name__}: {error}")
-        outcomes.append(said)
-    assert all(said == outcomes[0] for said in outcomes)
+                texts.append(f"{type(error).__name__}: {error}")
+        outcomes.append(texts)
+    assert all(texts == outcomes[0] for texts in outcomes)
     assert len(set(outcomes[0])) > 100
 
 
 @pytest.mark.parametrize(
-    ("change", "error", "said"),
+    ("change", "error", "message"),
     [
         ({"profile": 2}, ValueError, r"found 2, allowed 0 \(Tiny\) or 1 \(Main\)"),
         ({"lanes": Lanes(9, 0, 0)}, ValueError, "found 9, allowed 0 to 8"),
@@ -91,9 +91,9 @@ def test_encode_says_what_is_wrong_with_a_field(name: str, monkeypatch: pytest.M
     ids=str,
 )
 def test_encode_names_the_field_and_its_limits(
-    change: dict[str, Any], error: type[Exception], said: str, scene: refcodec.Scene
+    change: dict[str, Any], error: type[Exception], message: str, scene: refcodec.Scene
 ) -> None:
-    with pytest.raises(error, match=said):
+    with pytest.raises(error, match=message):
         refcodec.encode(refcodec.Scene(replace(scene.coded, **change)))
     with pytest.raises(TypeError, match=r"encode takes a refcodec\.Scene"):
         refcodec.encode(scene.coded)  # type: ignore[arg-type]
@@ -112,10 +112,10 @@ def _arrays(value: Any) -> list[np.ndarray]:
 
 def test_arrays_of_a_scene_are_read_only(scene: refcodec.Scene) -> None:
     """A change of one was seen by gaussians, but neither by digest nor by encode."""
-    found = [*_arrays(scene.coded), *_arrays(scene.values)]
-    found += [scene.positions, scene.features, scene.scalings, scene.offsets, scene.masks]
-    assert len(found) > 30
-    assert not any(array.flags.writeable for array in found)
+    arrays = [*_arrays(scene.coded), *_arrays(scene.values)]
+    arrays += [scene.positions, scene.features, scene.scalings, scene.offsets, scene.masks]
+    assert len(arrays) > 30
+    assert not any(array.flags.writeable for array in arrays)
     # The caller's own arrays stay as they were.
     own = replace(scene.coded, positions=scene.coded.positions.copy())
     assert not refcodec.Scene(own).coded.positions.flags.writeable
@@ -171,9 +171,9 @@ def test_every_name_says_what_it_is() -> None:
 def test_a_file_comes_back_as_it_was(scene: refcodec.Scene) -> None:
     data = TRAINED.read_bytes()
     for place in (TRAINED, str(TRAINED), data, bytearray(data), memoryview(data)):
-        found = refcodec.decode(place)
-        assert refcodec.encode(found) == data
-        assert found.digest() == digest(parse(data).scene)[0]
+        decoded = refcodec.decode(place)
+        assert refcodec.encode(decoded) == data
+        assert decoded.digest() == digest(parse(data).scene)[0]
     assert sum(scene.sizes.values()) == len(data)
     # A scene without a file is encoded for its sizes.
     assert refcodec.Scene(scene.coded).sizes == scene.sizes
@@ -205,9 +205,9 @@ def test_file_objects(tmp_path: Path) -> None:
     with open(TINY, "rb") as stored, open(TINY, "rb", buffering=0) as raw:
         stored.seek(5)
         for file in (stored, raw, io.BytesIO(data), _Short(data), _Stream(data)):
-            with refcodec.open(file) as found:
-                assert found.byte_count == len(data)
-                assert refcodec.encode(found.decode()) == data
+            with refcodec.open(file) as opened:
+                assert opened.byte_count == len(data)
+                assert refcodec.encode(opened.decode()) == data
             assert not file.closed
     # What is behind the file is not read.
     endless = _Stream(data + bytes(1 << 16))
@@ -245,8 +245,8 @@ def test_export_of_a_static_scene(tmp_path: Path, capsys: pytest.CaptureFixture[
         assert path.read_bytes() == path.with_stem("b").read_bytes()
     api.export(static, outputs[1], spz_bits=4)
     assert outputs[1].stat().st_size < (tmp_path / "b.spz").stat().st_size
-    for wrong, said in (({"degree": 0}, "needs no fit"), ({"spz_bits": 9}, "from 4 to 8")):
-        with pytest.raises(UsageError, match=said):
+    for wrong, message in (({"degree": 0}, "needs no fit"), ({"spz_bits": 9}, "from 4 to 8")):
+        with pytest.raises(UsageError, match=message):
             api.export(scene, outputs[0], **wrong)  # type: ignore[arg-type]
     # Nothing is written if an output has no format.
     with pytest.raises(UsageError, match=r"allowed are \.ply, \.spz, \.sog, \.glb"):
@@ -300,7 +300,7 @@ def test_a_camera_looks_at_a_point(scene: refcodec.Scene) -> None:
     edge = np.tan(np.radians(30)) * np.linalg.norm(middle - camera.centre)
     assert np.allclose(pixel(middle - edge * camera.rotation[1])[1], 0)
     assert len(scene.gaussians(camera).mean)
-    for change, said in (
+    for change, message in (
         ({"target": (3, -4, 2)}, "the target is at the eye"),
         ({"up": (2, -5, 1)}, "up is parallel"),
         ({"up": (0, 0, 0)}, "up is parallel"),
@@ -311,7 +311,7 @@ def test_a_camera_looks_at_a_point(scene: refcodec.Scene) -> None:
         ({"width": 1.5}, "whole numbers above 0"),
     ):
         given = {"eye": (3, -4, 2), "target": (1, 1, 1), "up": (0, 0, 1), "width": 640, "height": 480, "fov": 60}
-        with pytest.raises(ValueError, match=said):
+        with pytest.raises(ValueError, match=message):
             refcodec.Camera.look_at(**{**given, **change})  # type: ignore[arg-type]
 
 
@@ -329,9 +329,9 @@ def test_values_have_the_stated_shapes(scene: refcodec.Scene) -> None:
         assert (array.shape, array.dtype) == (shape, np.float32)
         assert np.array_equal(array, getattr(values, name))
     assert (scene.masks.shape, scene.masks.dtype) == ((n, k), np.bool_)
-    found = scene.gaussians()
-    assert found.mean.shape == (len(found.opacity), 3)
-    assert scene.masks[found.anchor, found.offset].all()
+    drawn = scene.gaussians()
+    assert drawn.mean.shape == (len(drawn.opacity), 3)
+    assert scene.masks[drawn.anchor, drawn.offset].all()
     assert repr(scene) == f"<refcodec.Scene: {n:,} anchors, {scene.masks.sum():,} of {n * k:,} offsets kept>"
 
 
@@ -341,11 +341,11 @@ def test_plain_gaussians_of_a_static_scene() -> None:
     scene = refcodec.decode(static)
     n = int(scene.masks.sum())
     shapes = {"mean": (n, 3), "base": (n, 3), "rest": (n, 8, 3), "opacity": (n,), "scale": (n, 3), "quaternion": (n, 4)}
-    for found in (refcodec.splats(static), refcodec.splats(static.read_bytes()), scene.splats):
-        assert isinstance(found, refcodec.Splats)
-        assert found.degree == 2
-        assert list(vars(found)) == list(shapes)
-        for name, values in vars(found).items():
+    for splats in (refcodec.splats(static), refcodec.splats(static.read_bytes()), scene.splats):
+        assert isinstance(splats, refcodec.Splats)
+        assert splats.degree == 2
+        assert list(vars(splats)) == list(shapes)
+        for name, values in vars(splats).items():
             assert (values.shape, values.dtype, values.flags.writeable) == (shapes[name], np.float32, False)
             np.testing.assert_array_equal(values, getattr(scene.splats, name))
     # Those of a view are the same ones.
@@ -381,9 +381,9 @@ class _Counting:
         self._file, self.read_bytes = open(path, "rb"), 0  # noqa: SIM115
 
     def read(self, size: int = -1) -> bytes:
-        found = self._file.read(size)
-        self.read_bytes += len(found)
-        return found
+        block = self._file.read(size)
+        self.read_bytes += len(block)
+        return block
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._file, name)
@@ -416,7 +416,7 @@ def test_an_open_file_reads_what_is_asked_for(monkeypatch: pytest.MonkeyPatch, s
         assert counted.read_bytes < file.byte_count
         assert chunk.number == number
         assert np.array_equal(chunk.values.positions, whole.positions[chunk.first :])
-        assert sum(found.scene.anchor_count for found in file) == file.anchor_count == whole.anchor_count
+        assert sum(chunk_of.scene.anchor_count for chunk_of in file) == file.anchor_count == whole.anchor_count
         assert refcodec.encode(file.decode()) == many.read_bytes()
         with pytest.raises(IndexError, match="there is no chunk"):
             list(file.chunks(range(file.chunk_count, file.chunk_count + 1)))

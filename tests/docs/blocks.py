@@ -66,13 +66,13 @@ def blocks(page: Path) -> list[Block]:
     return [
         Block(
             page.name,
-            text.count("\n", 0, found.start("text")) + 1,
-            found["language"],
-            found["mark"] or "",
-            found["text"],
+            text.count("\n", 0, block.start("text")) + 1,
+            block["language"],
+            block["mark"] or "",
+            block["text"],
         )
-        for found in _BLOCK.finditer(text)
-        if found["language"] in LANGUAGES
+        for block in _BLOCK.finditer(text)
+        if block["language"] in LANGUAGES
     ]
 
 
@@ -85,10 +85,10 @@ def runnable(page: Path) -> list[Block]:
     """Returns the blocks of a page that are run, in order. Those of Python are one program, which is run at the end."""
     wanted = [block for block in blocks(page) if block.runs and (block.needs is None or _is_there(block.needs))]
     programs = [block for block in wanted if block.language == "python"]
-    found = [block for block in wanted if block.language != "python"]
+    others = [block for block in wanted if block.language != "python"]
     if programs:
-        found.append(replace(programs[0], text="\n".join(block.text for block in programs)))
-    return found
+        others.append(replace(programs[0], text="\n".join(block.text for block in programs)))
+    return others
 
 
 class Desk:
@@ -133,5 +133,5 @@ class Desk:
             timeout=_TIMEOUT,
             check=False,
         )
-        said = f"{block.page}, line {block.line}:\n{block.text}\n{done.stdout[-3000:]}\n{done.stderr[-3000:]}"
-        assert done.returncode == block.status, said
+        report = f"{block.page}, line {block.line}:\n{block.text}\n{done.stdout[-3000:]}\n{done.stderr[-3000:]}"
+        assert done.returncode == block.status, report

@@ -18,11 +18,11 @@ _LINK = re.compile(r"\]\(([^)\s]+)(?: \"[^\"]*\")?\)|<(?:img|a|source)\b[^>]*?\b
 
 
 def markdown_files() -> list[Path]:
-    found = []
+    paths = []
     for folder, folders, files in os.walk(ROOT):
         folders[:] = [name for name in folders if not name.startswith(".") and name not in _NOT_OURS]
-        found += [Path(folder, name) for name in files if name.endswith(".md")]
-    return sorted(found)
+        paths += [Path(folder, name) for name in files if name.endswith(".md")]
+    return sorted(paths)
 
 
 def links(text: str) -> list[str]:
@@ -33,13 +33,13 @@ def links(text: str) -> list[str]:
 
 def anchors(text: str) -> set[str]:
     """The anchors that code hosts give the headings of a text."""
-    found: Counter[str] = Counter()
+    counts: Counter[str] = Counter()
     anchors = set()
     for heading in re.findall(r"^#{1,6} +(.*?) *#*$", _FENCE.sub("", text), re.MULTILINE):
         words = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", heading)
         name = re.sub(r"[^\w\- ]", "", words.lower()).replace(" ", "-")
-        anchors.add(f"{name}-{found[name]}" if found[name] else name)
-        found[name] += 1
+        anchors.add(f"{name}-{counts[name]}" if counts[name] else name)
+        counts[name] += 1
     return anchors
 
 
@@ -50,7 +50,7 @@ def _anchors_of(path: Path) -> set[str]:
 
 def wrong(path: Path, text: str) -> list[str]:
     """The links of a file that lead nowhere."""
-    found = []
+    broken = []
     for link in links(text):
         place, _, anchor = link.partition("#")
         if re.match(r"[a-z]+:", place):
@@ -58,8 +58,8 @@ def wrong(path: Path, text: str) -> list[str]:
         target = (path.parent / place).resolve() if place else path
         inside = target.is_relative_to(ROOT) and target.exists()
         if not inside or (anchor and target.suffix == ".md" and anchor not in _anchors_of(target)):
-            found.append(link)
-    return found
+            broken.append(link)
+    return broken
 
 
 @pytest.mark.parametrize("path", markdown_files(), ids=lambda path: path.relative_to(ROOT).as_posix())

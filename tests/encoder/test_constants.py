@@ -17,7 +17,7 @@ from refcodec.cli.main import main
 from refcodec.encoder.constants import choose_constants, code_length, smallest, with_constants
 from refcodec.encoder.quantise import packed
 from refcodec.folder.write import write_folder
-from refcodec.inspect.page.measures import Measures
+from refcodec.inspect.page.measures import SceneMeasures
 
 SAME = ("positions", "features", "scalings", "offsets")
 
@@ -40,11 +40,11 @@ def test_constants_are_near_the_best() -> None:
     for count, mean, spread in ((1, 3, 1), (300, -40, 9), (300, 0.4, 0.05), (2000, 5000, 700)):
         symbols = np.round(rng.normal(mean, spread, count)).astype(np.int64)
         nothing = np.zeros(count, np.int64)
-        found = choose_constants(symbols, nothing, nothing)
-        bits = code_length(nothing + found[0], nothing + found[1], symbols)
+        chosen = choose_constants(symbols, nothing, nothing)
+        bits = code_length(nothing + chosen[0], nothing + chosen[1], symbols)
         for i in range(-24, 25):
             for j in range(-12, 13):
-                assert bits <= code_length(nothing + found[0] + i, nothing + found[1] + j, symbols) * 1.002 + 0.1
+                assert bits <= code_length(nothing + chosen[0] + i, nothing + chosen[1] + j, symbols) * 1.002 + 0.1
     assert choose_constants(nothing[:0], nothing[:0], nothing[:0]) == (0, 0)
 
 
@@ -52,9 +52,9 @@ def test_constants_are_near_the_best() -> None:
 def test_nothing_but_the_entropy_model_changes(alone: bool) -> None:
     scene = scene_of(300)
     d = scene.dimensions
-    found = with_constants(scene, (d.features,) if alone else d.slices)
-    assert found is not None
-    decoded = parse(emit(found)).scene
+    constant = with_constants(scene, (d.features,) if alone else d.slices)
+    assert constant is not None
+    decoded = parse(emit(constant)).scene
     assert decoded.frame is None
     assert decoded.dimensions.plane_channels == decoded.dimensions.frequency_count == 0
     assert decoded.dimensions.carm_width == (() if alone else d.carm_width)
@@ -69,7 +69,7 @@ def test_nothing_but_the_entropy_model_changes(alone: bool) -> None:
             np.testing.assert_array_equal(bias, other_bias)
     # The bits are those of the search.
     if alone:
-        measures = Measures(decoded.dimensions, decoded.anchor_count)
+        measures = SceneMeasures(decoded.dimensions, decoded.anchor_count)
         measures.add(decoded)
         total = 0.0
         values = np.concatenate([scene.attributes.features, scene.attributes.scalings], axis=1).astype(np.int64)
@@ -100,9 +100,9 @@ def test_encode_takes_the_smallest(tmp_path) -> None:
     for options in ((), ("--smallest",), ("--smallest", "--positions", "packed")):
         assert main(["encode", str(tmp_path / "scene"), "-o", str(tmp_path / "a.c3gs"), *options]) == 0
         data = (tmp_path / "a.c3gs").read_bytes()
-        found = parse(data).scene
-        sizes[options] = len(data), found.frame is None, found.position_model is None
-        assert {n: digest(found)[1][n] for n in SAME} == {n: digest(scene)[1][n] for n in SAME}
+        parsed = parse(data).scene
+        sizes[options] = len(data), parsed.frame is None, parsed.position_model is None
+        assert {n: digest(parsed)[1][n] for n in SAME} == {n: digest(scene)[1][n] for n in SAME}
     plain, few, kept = sizes.values()
     assert plain[1:] == (False, False)
     assert few[1:] == (True, True)

@@ -42,11 +42,11 @@ def cube() -> Scene:
 def test_raw_positions_keep_a_chunk_above_its_floor(cube: Scene, tmp_path) -> None:
     assert cube.chunks == [range(1728), range(1728, 1732)]
     data = emit(cube)
-    found = parse(data).scene
-    assert found.position_forms == (RAW, PACKED)
-    np.testing.assert_array_equal(found.positions, cube.positions)
-    assert emit(found) == data
-    write_folder(found, tmp_path / "scene")
+    parsed = parse(data).scene
+    assert parsed.position_forms == (RAW, PACKED)
+    np.testing.assert_array_equal(parsed.positions, cube.positions)
+    assert emit(parsed) == data
+    write_folder(parsed, tmp_path / "scene")
     assert emit(read_folder(tmp_path / "scene")) == data
 
 

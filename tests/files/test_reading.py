@@ -34,9 +34,9 @@ Captured = pytest.CaptureFixture[str]
 def refused(capsys: Captured, *words: str | Path) -> str:
     """What a command says that refuses its input."""
     assert main([str(word) for word in words]) == 64
-    said = capsys.readouterr().err
-    assert len(said.splitlines()) == 1, said
-    return said
+    message = capsys.readouterr().err
+    assert len(message.splitlines()) == 1, message
+    return message
 
 
 # --- documents --------------------------------------------------------------------------------------------------------
@@ -174,9 +174,9 @@ def test_render_json_is_checked(member: str, wrong: Any, field: str, folder: Pat
     document = json.loads((folder / "render.json").read_text())
     (document["render"] if field.startswith("render") else document["cameras"][1])[member] = wrong
     (folder / "render.json").write_text(json.dumps(document))
-    said = refused(capsys, "render", folder, "-o", folder.parent / "images")
-    assert f'"{field}' in said
-    assert "train it again" in said
+    message = refused(capsys, "render", folder, "-o", folder.parent / "images")
+    assert f'"{field}' in message
+    assert "train it again" in message
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{}", "[" * 100_000, '{"format": "Scaffold-GS, uncompressed"}', "\xff"])

@@ -56,15 +56,15 @@ def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[Server]:
         def do_GET(self) -> None:
             asked = re.fullmatch(r"bytes=(\d+)-(\d+)", self.headers.get("Range", ""))
             assert asked
-            size, way, later = len(found.data), found.way, bool(found.asked)
+            size, way, later = len(served.data), served.way, bool(served.asked)
             first, end = int(asked[1]), min(int(asked[2]) + 1, size)
-            found.asked.append((first, end))
-            body = found.data[first:end]
+            served.asked.append((first, end))
+            body = served.data[first:end]
             ways: dict[str, tuple[int, bytes, dict[str, str]]] = {
                 "missing": (404, b"", {}),
                 "busy": (503, b"", {}),
-                "redirects": (302, b"", {"Location": found.url}),
-                "ignores": (200, found.data, {}),
+                "redirects": (302, b"", {"Location": served.url}),
+                "ignores": (200, served.data, {}),
                 "no range": (206, body, {"Content-Range": "all of it\x1b[2J"}),
                 "ETag": (206, body, {"ETag": f'"{later}"'}),
                 "Last-Modified": (206, body, {"Last-Modified": f'"{later}"'}),
@@ -109,10 +109,10 @@ def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[Server]:
             """A client that hangs up is what some tests are about."""
 
     with Quiet(("127.0.0.1", 0), Handler) as web:
-        found = Server(f"http://127.0.0.1:{web.server_address[1]}/scene.c3gs", SCENE)
+        served = Server(f"http://127.0.0.1:{web.server_address[1]}/scene.c3gs", SCENE)
         thread = threading.Thread(target=web.serve_forever, daemon=True)
         thread.start()
-        yield found
+        yield served
         over.set()
         web.shutdown()
         thread.join()
@@ -215,11 +215,11 @@ def test_verdicts_are_those_of_the_file(server: Server, size: int, tmp_path: Pat
     server.way = "no ETag"
     server.data = SCENE[:size]
     (tmp_path / "cut").write_bytes(SCENE[:size])
-    said = []
+    messages = []
     for name in (server.url, str(tmp_path / "cut")):
         assert main(["validate", name]) == 1
-        said.append(capsys.readouterr().err.splitlines()[-1])
-    assert said[0] == said[1]
+        messages.append(capsys.readouterr().err.splitlines()[-1])
+    assert messages[0] == messages[1]
 
 
 def test_any_url_of_fsspec(tmp_path: Path, capsys: Captured) -> None:

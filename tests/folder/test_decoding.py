@@ -157,10 +157,10 @@ def test_good_chunks_of_a_damaged_file(chunks: list[int], tmp_path: Path) -> Non
     document = json.loads(wanted.pop("scene.json"))
     if chunks:
         document["dropped_chunks"] = [{"chunk": n, **json.loads(parsed.damage[n].to_json())} for n in chunks]
-    found = files(tmp_path / "left")
-    made = json.loads(found.pop("scene.json"))
+    left = files(tmp_path / "left")
+    made = json.loads(left.pop("scene.json"))
     assert {**made, "fingerprint": ""} == {**document, "fingerprint": ""}
-    assert found == wanted
+    assert left == wanted
 
 
 def test_a_fault_behind_the_chunks_drops_none(tmp_path: Path) -> None:
@@ -193,11 +193,11 @@ def test_some_chunks_are_rows_of_the_whole(numbers: range, tmp_path: Path) -> No
 def test_values_come_with_symbols() -> None:
     whole = reconstruct(codec.parse(DATA_OF).scene)
     for source in (WholeFile(DATA_OF), Arriving(DATA_OF[at : at + 100] for at in range(0, len(DATA_OF), 100))):
-        found = list(decoded_chunks(source, side_by_side=isinstance(source, WholeFile)))
+        chunks = list(decoded_chunks(source, side_by_side=isinstance(source, WholeFile)))
         for name in vars(whole):
-            values = np.concatenate([getattr(chunk.values, name) for chunk in found])
+            values = np.concatenate([getattr(chunk.values, name) for chunk in chunks])
             assert values.tobytes() == getattr(whole, name).tobytes(), name
-        symbols = np.concatenate([chunk.scene.attributes.features for chunk in found])
+        symbols = np.concatenate([chunk.scene.attributes.features for chunk in chunks])
         assert np.array_equal(symbols, SCENE.attributes.features)
 
 
@@ -241,9 +241,9 @@ def test_every_way_refuses_alike(tmp_path: Path) -> None:
             return list(decoded_chunks(WholeFile(data)))
 
         for way in (stored, arriving, whole):
-            with pytest.raises(BitstreamError) as found:
+            with pytest.raises(BitstreamError) as caught:
                 way()
-            assert found.value.to_json() == wanted.value.to_json(), path.name
+            assert caught.value.to_json() == wanted.value.to_json(), path.name
         assert os.listdir(tmp_path) == []
 
 

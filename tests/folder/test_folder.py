@@ -405,8 +405,8 @@ def test_a_changed_folder_keeps_its_minor_version(tmp_path, minor, later):
     write_folder(replace(random_scene(11, 9), minor=minor, later=later), folder)
     document = json.loads((folder / "scene.json").read_text())
     (folder / "scene.json").write_text(json.dumps({**document, "chunk_size": document["chunk_size"] + 1}))
-    found = codec.parse(codec.emit(read_folder(folder))).scene
-    assert (found.minor, found.later) == (minor, later)
+    parsed = codec.parse(codec.emit(read_folder(folder))).scene
+    assert (parsed.minor, parsed.later) == (minor, later)
 
 
 # --- quantising anew --------------------------------------------------------------------------------------------------
@@ -421,23 +421,23 @@ def by_position(scene):
 def test_requantised_reconstruction_is_the_same_scene(made, scene):
     """Values on the lattice of their steps give the same symbols again; anchors are sorted, empty ones dropped."""
     (made / "coded.safetensors").unlink()
-    found, wanted = by_position(read_folder(made)), by_position(take_anchors(scene, scene.masks.any(axis=1)))
+    coded, wanted = by_position(read_folder(made)), by_position(take_anchors(scene, scene.masks.any(axis=1)))
     for kind in ("features", "scalings", "offsets", "steps"):
-        assert np.array_equal(getattr(found.attributes, kind), getattr(wanted.attributes, kind)), kind
-    assert found.positions.tobytes() == wanted.positions.tobytes()
-    assert np.array_equal(found.masks, wanted.masks)
+        assert np.array_equal(getattr(coded.attributes, kind), getattr(wanted.attributes, kind)), kind
+    assert coded.positions.tobytes() == wanted.positions.tobytes()
+    assert np.array_equal(coded.masks, wanted.masks)
     kept = ("grid", "render", "lanes", "chunk_size", "base_step", "profile", "dimensions", "plane_shift", "ancillary")
     for name in kept:
-        assert getattr(found, name) == getattr(scene, name), name
-    codec.parse(codec.emit(found))
+        assert getattr(coded, name) == getattr(scene, name), name
+    codec.parse(codec.emit(coded))
 
 
 def test_edited_ply_is_quantised(made, scene):
     (made / "coded.safetensors").unlink()
     rewrite_ply(made / "point_cloud.ply", without("f_mask_"))
-    found = read_folder(made)
-    assert found.masks.all()
-    assert found.anchor_count == scene.anchor_count
+    coded = read_folder(made)
+    assert coded.masks.all()
+    assert coded.anchor_count == scene.anchor_count
     rewrite_ply(made / "point_cloud.ply", lambda t: put(0, 1e30)(t["x"]) is None or t)
     refused(made, "point_cloud.ply", "cannot be quantised")
     rewrite_ply(made / "point_cloud.ply", without("f_anchor_feat_4"))

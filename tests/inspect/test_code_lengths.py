@@ -22,11 +22,11 @@ def probability(family: str, mean: int, scale: int, value: int) -> float:
     away = (value >> raw) - centre
     escaped = abs(away) > radius
     at = start + (2 * radius + 1 if escaped else away + radius)
-    found = (int(models.upper[at]) - int(models.lower[at])) / TOTAL / 2**raw
+    share = (int(models.upper[at]) - int(models.lower[at])) / TOTAL / 2**raw
     if escaped:
         zeros = (abs(away) - radius).bit_length() - 1
-        found /= 2 ** (2 + 2 * zeros)
-    return found
+        share /= 2 ** (2 + 2 * zeros)
+    return share
 
 
 CASES = [
@@ -62,9 +62,9 @@ def test_pictures_are_png(tmp_path) -> None:
     pixels = np.random.default_rng(3).integers(0, 256, (7, 5)).astype(np.uint8)
     for grey in (True, False):
         (tmp_path / "x.png").write_bytes(png(pixels, grey))
-        found = np.array(image.open(tmp_path / "x.png").convert("RGB"))
+        shown = np.array(image.open(tmp_path / "x.png").convert("RGB"))
         wanted = np.repeat(pixels[..., None], 3, axis=2) if grey else palette()[pixels]
-        assert np.array_equal(found, wanted)
+        assert np.array_equal(shown, wanted)
 
 
 def test_bars_may_have_no_height() -> None:

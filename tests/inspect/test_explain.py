@@ -43,14 +43,14 @@ def test_every_byte_of_the_vectors_has_a_meaning() -> None:
             data = manifest.path(vector).read_bytes()
             model = outline_of(data).render_model
             for row in rows(data):
-                found = meaning_of(row.path, model)
-                assert found.clauses, row.path
-                assert found.requirements, row.path
+                element = meaning_of(row.path, model)
+                assert element.clauses, row.path
+                assert element.requirements, row.path
                 # Accepted files have unused bytes of later minor versions, and of broken metadata and cameras.
                 used = not row.path.endswith((", unused", ", cut off"))
                 used |= row.path.startswith(("header, ", "mETa", "cAMs"))
                 assert used or not isinstance(vector.expectation, Accepted), (vector.id, row.path)
-                seen |= set(found.requirements)
+                seen |= set(element.requirements)
     assert {name for name in REQUIREMENTS if name.startswith("R")} <= seen
     assert {"D9.4-1", "G14.3-1", "G6.5-1"} <= seen
 
@@ -69,9 +69,9 @@ def test_the_rules_name_each_requirement(monkeypatch: pytest.MonkeyPatch) -> Non
             for rule in meaning.PAYLOADS
         ]
         monkeypatch.setattr(meaning, "PAYLOADS", planted)
-        found = list(meanings.check())
+        messages = list(meanings.check())
         monkeypatch.undo()
-        return found
+        return messages
 
     assert "it cites 6.8, but not R6.8-4" in faults("5.8 6.8 14.3 R6.8-3 G14.3-1", ())[0]
     assert "it cites 14.3, but not G14.3-1" in faults("5.8 6.8 14.3 R6.8-3", (0,))[0]
@@ -83,15 +83,15 @@ def test_the_rules_name_each_requirement(monkeypatch: pytest.MonkeyPatch) -> Non
 @pytest.mark.parametrize("kind", REGISTRY.values(), ids=REGISTRY)
 def test_each_error_is_explained(kind) -> None:
     """By code and by name: its row, why and how, the requirement, code of each decoder, tests and vectors."""
-    found, named = explained(str(kind.code)), explained(kind.name)
-    assert named.startswith(found)
+    text_of_code, named = explained(str(kind.code)), explained(kind.name)
+    assert named.startswith(text_of_code)
     # A name that is an element's too explains both.
-    assert (named != found) == meaning.is_path(kind.name)
+    assert (named != text_of_code) == meaning.is_path(kind.name)
     for text in (f"{kind.code} {kind.name}", kind.requirement, "\n  why  ", "\n  how  ", "conformance/c/decoder.c:"):
-        assert text in found
-    assert f"test_fault[{kind.name}]" in found
-    assert "refcodec/bitstream/" in found
-    assert "  SPEC.md:" in found
+        assert text in text_of_code
+    assert f"test_fault[{kind.name}]" in text_of_code
+    assert "refcodec/bitstream/" in text_of_code
+    assert "  SPEC.md:" in text_of_code
 
 
 def test_there_is_no_explanation_of_nothing() -> None:
@@ -107,9 +107,9 @@ UNKNOWN = (
 @pytest.mark.parametrize("key", UNKNOWN)
 def test_what_is_not_known_is_said(key: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["explain", *(key.split() or [""])]) == 64
-    found = capsys.readouterr().err
-    assert found.count("\n") == 1
-    assert "is not an error, requirement, clause, path" in found
+    message = capsys.readouterr().err
+    assert message.count("\n") == 1
+    assert "is not an error, requirement, clause, path" in message
 
 
 # Keys, and what is among the lines of each: names of clauses, code, tests, vectors.
@@ -149,9 +149,9 @@ ANSWERS = {
 
 @pytest.mark.parametrize("key", ANSWERS)
 def test_one_look_up_answers(key: str) -> None:
-    found = explained(*key.split())
+    answer = explained(*key.split())
     for text in ANSWERS[key].split("|"):
-        assert text in found, text
+        assert text in answer, text
 
 
 def test_every_path_of_a_file_is_explained() -> None:
@@ -169,10 +169,10 @@ def near(file: Path, path: str, capsys: pytest.CaptureFixture[str]) -> str:
 def test_near_a_byte(capsys: pytest.CaptureFixture[str]) -> None:
     """The element's clauses and requirements, and the command that tells more, which is one."""
     path = "index.entry[0].kept_count"
-    found = near(EXAMPLE, path, capsys)
-    assert "clauses      5.13 ChunkEntry, 6.10 Index" in found
-    assert "requirements R6.10-5: " in found
-    assert f"more         refcodec explain '{path}'" in found
+    printed = near(EXAMPLE, path, capsys)
+    assert "clauses      5.13 ChunkEntry, 6.10 Index" in printed
+    assert "requirements R6.10-5: " in printed
+    assert f"more         refcodec explain '{path}'" in printed
     assert main(["inspect", str(EXAMPLE), "--near", "99999"]) == 0
     assert list(rows(EXAMPLE.read_bytes()))[-1].path in capsys.readouterr().out
 

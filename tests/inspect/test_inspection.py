@@ -66,15 +66,15 @@ def test_rows_tile_valid_files(data):
 def test_rows_name_every_header_element(data):
     header = parse_container(data)
     wanted = syntax.parse_elements("Header", data, PROLOGUE_BYTES, "header")
-    found = {r.path: r for r in elements.rows(data)}
+    listed = {r.path: r for r in elements.rows(data)}
     for element in wanted:
-        row = found[element.path]
+        row = listed[element.path]
         assert (row.start, row.end, row.value) == (element.start, element.end, element.value)
     for section in header.sections[:-2]:
         paths = [r.path for r in elements.rows(data) if section.start <= r.start < section.end]
         assert all(p.startswith(section.name) for p in paths)
-    assert found["attributes[chunk 2].symbol_crc"].kind == "u32"
-    assert found["weights.carm.1.0.weight"].kind == "f32[5,2]"
+    assert listed["attributes[chunk 2].symbol_crc"].kind == "u32"
+    assert listed["weights.carm.1.0.weight"].kind == "f32[5,2]"
 
 
 def sealed(data: bytes) -> bytes:
@@ -98,11 +98,11 @@ def test_nothing_raises_on_damaged_files():
         if round_number % 2 and len(damaged) > 300:
             damaged = sealed(damaged)
         assert_tiled(damaged)
-        found = verdict(damaged)
-        error = found if isinstance(found, BitstreamError) else None
+        outcome = verdict(damaged)
+        error = outcome if isinstance(outcome, BitstreamError) else None
         text = list(dump.hex_lines(damaged, [error] if error else []))
         assert sum("^^ error" in line for line in text) == (error is not None)
-        facts = summary.document(damaged, error or digest(found.scene))
+        facts = summary.document(damaged, error or digest(outcome.scene))
         json.loads("\n".join(summary.json_lines(facts)), parse_constant=pytest.fail)
         assert list(summary.summary(facts, "x"))
         assert sum(facts["parts"].values()) == len(damaged)
@@ -122,8 +122,8 @@ def test_header_without_limits_is_not_believed(data):
     changed[24:32] = b"\xff\xff\xff\xff\x01\x00\x00\x00"
     changed[32:35] = b"\xff\xff\xff"
     assert_tiled(bytes(changed))
-    for found in (verdict(bytes(changed)), None):
-        list(summary.summary(summary.document(bytes(changed), found), "x"))
+    for outcome in (verdict(bytes(changed)), None):
+        list(summary.summary(summary.document(bytes(changed), outcome), "x"))
 
 
 def test_error_stands_at_its_byte(data):

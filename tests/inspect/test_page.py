@@ -161,9 +161,9 @@ def test_the_bits_are_the_bytes_but_for_heads_and_states(data: bytes, tmp_path: 
     kinds = [(5, lanes["plane"]), (chunks, lanes["mask"]), (chunks, lanes["attribute"])]
     if page.values["accounts"][3:] and facts["sections"][-2]["mode"]:
         kinds.insert(1, (chunks, lanes["mask"]))
-    found = page.values["accounts"]
-    assert len(found) == 2 * len(kinds)
-    for coded, held, (streams, each) in zip(found[::2], found[1::2], kinds, strict=True):
+    accounts = page.values["accounts"]
+    assert len(accounts) == 2 * len(kinds)
+    for coded, held, (streams, each) in zip(accounts[::2], accounts[1::2], kinds, strict=True):
         loss = coded / 1000
         assert streams * (8 + 2 * each) - loss <= held - coded <= streams * (8 + 4 * each + 1) + loss
     scene = parse(data).scene
@@ -171,7 +171,7 @@ def test_the_bits_are_the_bytes_but_for_heads_and_states(data: bytes, tmp_path: 
     symbols = [6 * scene.anchor_count, kept, *(w * scene.anchor_count for w in scene.dimensions.slices)]
     assert all(f"{n:,}" in page.words["costs"] for n in [*symbols, scene.planes.size])
     # The attributes of all anchors are scalings, offsets and slices.
-    assert sum(page.values["costs"][:-1]) / 8 == pytest.approx(found[-2], abs=0.01)
+    assert sum(page.values["costs"][:-1]) / 8 == pytest.approx(accounts[-2], abs=0.01)
 
 
 def test_the_same_file_has_the_same_page(data: bytes, tmp_path: Path) -> None:
@@ -210,10 +210,10 @@ def test_a_refused_file_makes_no_page(data: bytes, tmp_path: Path, capsys: pytes
         capsys.readouterr()
         assert main(["inspect", str(file), "--html", str(page)]) == 1
         assert not page.exists()
-        told, document = capsys.readouterr().err.splitlines()
+        message, document = capsys.readouterr().err.splitlines()
         assert json.loads(document)["code"] == code, document
-        assert " is rejected: " in told
-        assert "SPEC.md" in told
+        assert " is rejected: " in message
+        assert "SPEC.md" in message
 
 
 def test_other_files_are_not_replaced(data: bytes, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

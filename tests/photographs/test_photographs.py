@@ -162,11 +162,11 @@ def project(camera, points):
 def test_colmap_is_read_back(writer, place, tmp_path):
     _, rows, points = write_colmap(tmp_path, WRITERS[writer], place)
     (tmp_path / "images" / "notes.md").write_text("not an image")
-    found = read_photographs(tmp_path)
-    assert [p.camera.name for p in found.test] == ["00.png", "08.png"]
-    assert [p.camera.name for p in found.train] == [f"{i:02}.png" for i in range(COUNT) if i % 8]
-    assert found.skipped == 0
-    for i, (photograph, (_, q, t, _, name, _)) in enumerate(zip(everything(found), rows, strict=True)):
+    photographs = read_photographs(tmp_path)
+    assert [p.camera.name for p in photographs.test] == ["00.png", "08.png"]
+    assert [p.camera.name for p in photographs.train] == [f"{i:02}.png" for i in range(COUNT) if i % 8]
+    assert photographs.skipped == 0
+    for i, (photograph, (_, q, t, _, name, _)) in enumerate(zip(everything(photographs), rows, strict=True)):
         c = photograph.camera
         assert (c.name, c.width, c.height, c.fx, c.fy, c.cx, c.cy) == (name, *PINHOLE[1:3], *PINHOLE[3])
         np.testing.assert_allclose(c.rotation, Rotation.from_quat(q[[1, 2, 3, 0]]).as_matrix(), atol=1e-14)
@@ -175,9 +175,9 @@ def test_colmap_is_read_back(writer, place, tmp_path):
         np.testing.assert_array_equal(photograph.image, pixels(i))
         assert photograph.image is photograph.image
         assert photograph.image.dtype == np.uint8
-    np.testing.assert_array_equal(found.points, [p[1] for p in points])
-    np.testing.assert_array_equal(found.colours, [p[2] for p in points])
-    assert (found.points.dtype, found.colours.dtype, c.rotation.dtype) == (np.float64, np.uint8, np.float64)
+    np.testing.assert_array_equal(photographs.points, [p[1] for p in points])
+    np.testing.assert_array_equal(photographs.colours, [p[2] for p in points])
+    assert (photographs.points.dtype, photographs.colours.dtype, c.rotation.dtype) == (np.float64, np.uint8, np.float64)
 
 
 @pytest.mark.parametrize("writer", WRITERS)
@@ -315,16 +315,16 @@ def test_damaged_models(template, part, at, patch):
 def test_half_an_image(made):
     file = made / "images/02.png"
     file.write_bytes(file.read_bytes()[:1000])
-    found = read_photographs(made)
+    photographs = read_photographs(made)
     refused(made, "02.png", "not a readable image", "truncated")
-    assert found.train[0].image.shape == (HEIGHT, WIDTH, 3)
+    assert photographs.train[0].image.shape == (HEIGHT, WIDTH, 3)
 
 
 def test_image_that_shrinks_after_it_was_looked_at(made):
-    found = read_photographs(made)
+    photographs = read_photographs(made)
     write_images(made / "images", [f"{i:02}.png" for i in range(COUNT)], 20, 15)
     with pytest.raises(PhotographError, match="has changed"):
-        found.train[0].image  # noqa: B018
+        photographs.train[0].image  # noqa: B018
 
 
 @pytest.mark.parametrize(
@@ -471,8 +471,8 @@ def test_undistorted_spots_are_where_the_pinhole_camera_sees_them(name, size, tm
     scale = 320 / c.width
     inside = ((expected > 15 / scale) & (expected < np.array([c.width, c.height]) - 15 / scale)).all(axis=1)
     assert inside.sum() >= 15
-    found = np.array([spot_near(photograph.image, place, 12 / scale) for place in expected[inside]])
-    error = np.abs(found - expected[inside]).max()
+    places = np.array([spot_near(photograph.image, place, 12 / scale) for place in expected[inside]])
+    error = np.abs(places - expected[inside]).max()
     assert error < 0.15, error
     # Without undistortion they would not be there.
     assert np.abs(seen / scale - expected).max() > 0.5
@@ -543,10 +543,10 @@ def change(folder, edit_document, name="transforms.json"):
 
 
 def test_transforms(nerf):
-    found = read_photographs(nerf)
-    assert [p.camera.name for p in found.test] == ["images/r_0", "images/r_8"]
-    assert len(found.train) == 8
-    for i, (photograph, matrix) in enumerate(zip(everything(found), looking_at_origin(COUNT), strict=True)):
+    photographs = read_photographs(nerf)
+    assert [p.camera.name for p in photographs.test] == ["images/r_0", "images/r_8"]
+    assert len(photographs.train) == 8
+    for i, (photograph, matrix) in enumerate(zip(everything(photographs), looking_at_origin(COUNT), strict=True)):
         c = photograph.camera
         np.testing.assert_allclose(c.centre, matrix[:3, 3], atol=1e-12)
         np.testing.assert_allclose(c.rotation @ c.rotation.T, np.eye(3), atol=1e-12)
@@ -564,14 +564,14 @@ def test_transforms(nerf):
 
 
 def test_random_points_are_in_the_box_and_repeat(nerf):
-    found = read_photographs(nerf)
-    assert found.points.shape == (transforms.RANDOM_POINTS, 3)
+    photographs = read_photographs(nerf)
+    assert photographs.points.shape == (transforms.RANDOM_POINTS, 3)
     # All cameras look at the origin from 4 away.
-    assert 1.33 < np.abs(found.points).max() <= 4 / 3 + 1e-9
-    assert np.abs(found.points.mean(axis=0)).max() < 0.02
-    assert (found.colours == 128).all()
-    np.testing.assert_array_equal(read_photographs(nerf).points, found.points)
-    assert (read_photographs(nerf, seed=1).points != found.points).any()
+    assert 1.33 < np.abs(photographs.points).max() <= 4 / 3 + 1e-9
+    assert np.abs(photographs.points.mean(axis=0)).max() < 0.02
+    assert (photographs.colours == 128).all()
+    np.testing.assert_array_equal(read_photographs(nerf).points, photographs.points)
+    assert (read_photographs(nerf, seed=1).points != photographs.points).any()
 
 
 def write_ply(file, points, colours=None, dtype="u1"):
@@ -587,10 +587,10 @@ def write_ply(file, points, colours=None, dtype="u1"):
 def test_points_of_a_ply_file(nerf):
     points, colours = np.arange(12.0).reshape(4, 3), np.arange(12).reshape(4, 3)
     write_ply(nerf / "points3d.ply", points, colours)
-    found = read_photographs(nerf)
-    np.testing.assert_array_equal(found.points, points)
-    np.testing.assert_array_equal(found.colours, colours)
-    assert (found.points.dtype, found.colours.dtype) == (np.float64, np.uint8)
+    photographs = read_photographs(nerf)
+    np.testing.assert_array_equal(photographs.points, points)
+    np.testing.assert_array_equal(photographs.colours, colours)
+    assert (photographs.points.dtype, photographs.colours.dtype) == (np.float64, np.uint8)
     change(nerf, lambda d: d.update(ply_file_path="cloud.ply"))
     write_ply(nerf / "cloud.ply", points[:2])
     assert (read_photographs(nerf).colours == 128).all()
@@ -599,9 +599,9 @@ def test_points_of_a_ply_file(nerf):
 def test_own_split(tmp_path):
     write_nerf(tmp_path, "transforms_train.json", "./train/")
     write_nerf(tmp_path, "transforms_test.json", "./test/", count=3, seed=1)
-    found = read_photographs(tmp_path)
-    assert [p.camera.name for p in found.train] == [f"train/r_{i}" for i in range(COUNT)]
-    assert [p.camera.name for p in found.test] == [f"test/r_{i}" for i in range(3)]
+    photographs = read_photographs(tmp_path)
+    assert [p.camera.name for p in photographs.train] == [f"train/r_{i}" for i in range(COUNT)]
+    assert [p.camera.name for p in photographs.test] == [f"test/r_{i}" for i in range(3)]
     (tmp_path / "transforms_train.json").rename(tmp_path / "transforms.json.kept")
     refused(tmp_path, "transforms_train.json", "the file is missing")
 
@@ -609,20 +609,20 @@ def test_own_split(tmp_path):
 def test_half_a_split_is_none(tmp_path):
     """transforms_train.json alone is a list of images as any other: every eighth one is held out."""
     write_nerf(tmp_path, "transforms_train.json", "./train/")
-    found = read_photographs(tmp_path)
-    assert [p.camera.name for p in found.test] == [f"train/r_{i}" for i in range(0, COUNT, 8)]
-    assert len(found.train) + len(found.test) == COUNT
+    photographs = read_photographs(tmp_path)
+    assert [p.camera.name for p in photographs.test] == [f"train/r_{i}" for i in range(0, COUNT, 8)]
+    assert len(photographs.train) + len(photographs.test) == COUNT
 
 
 def test_holdout(tmp_path):
     write_nerf(tmp_path)
     names = [f"images/r_{i}" for i in range(COUNT)]
     for every in (2, 3):
-        found = read_photographs(tmp_path, holdout=every)
-        assert [p.camera.name for p in found.test] == names[::every]
-        assert sorted(p.camera.name for p in (*found.train, *found.test)) == names
-    found = read_photographs(tmp_path, holdout=0)
-    assert (len(found.train), found.test, found.random) == (COUNT, (), True)
+        photographs = read_photographs(tmp_path, holdout=every)
+        assert [p.camera.name for p in photographs.test] == names[::every]
+        assert sorted(p.camera.name for p in (*photographs.train, *photographs.test)) == names
+    photographs = read_photographs(tmp_path, holdout=0)
+    assert (len(photographs.train), photographs.test, photographs.random) == (COUNT, (), True)
     refused(tmp_path, "no image is left for training", holdout=1)
 
 
@@ -674,15 +674,15 @@ def test_transparent_images(nerf):
     image[:, :20] = (10, 20, 30, 255)
     Image.fromarray(image).save(nerf / "images/r_1.png")
     for background, arguments in (((255, 255, 255), {}), ((0, 9, 99), {"background": (0, 9, 99)})):
-        found = read_photographs(nerf, 20, **arguments).train[0].image
-        assert (found[:, :10] == (10, 20, 30)).all()
-        assert (found[:, 10:] == background).all()
+        composited = read_photographs(nerf, 20, **arguments).train[0].image
+        assert (composited[:, :10] == (10, 20, 30)).all()
+        assert (composited[:, 10:] == background).all()
 
 
 def test_frames_without_pose_are_counted(nerf):
     change(nerf, lambda d: [d["frames"][i].pop("transform_matrix") for i in (2, 5)])
-    found = read_photographs(nerf)
-    assert (found.skipped, len(found.train) + len(found.test)) == (2, 8)
+    photographs = read_photographs(nerf)
+    assert (photographs.skipped, len(photographs.train) + len(photographs.test)) == (2, 8)
 
 
 JSON = st.recursive(
@@ -693,7 +693,7 @@ JSON = st.recursive(
     ),
     max_leaves=20,
 )
-KEYS = ["frames", "ply_file_path", *transforms.Frame.__struct_fields__]
+KEYS = ["frames", "ply_file_path", *transforms.TransformsFrame.__struct_fields__]
 
 
 @pytest.fixture(scope="module")
@@ -949,19 +949,19 @@ def test_faults(kind, fault, words, tmp_path):
 
 @pytest.mark.parametrize(("name", "train", "test"), [("caliterra", 65, 10), ("snowmiku", 84, 13)])
 def test_examples(name, train, test):
-    found = read_photographs(EXAMPLES / name)
-    assert (len(found.train), len(found.test), found.skipped, found.points.shape) == (train, test, 0, (12500, 3))
+    taken = read_photographs(EXAMPLES / name)
+    assert (len(taken.train), len(taken.test), taken.skipped, taken.points.shape) == (train, test, 0, (12500, 3))
     assert (EXAMPLES / name / "LICENSE").is_file()
     assert (EXAMPLES / name / "SOURCE.md").is_file()
-    for photograph in found.train[:3]:
+    for photograph in taken.train[:3]:
         assert photograph.image.shape == (300, 400, 3)
-        at = project(photograph.camera, found.points)
-        depth = (found.points @ photograph.camera.rotation.T + photograph.camera.translation)[:, 2]
+        at = project(photograph.camera, taken.points)
+        depth = (taken.points @ photograph.camera.rotation.T + photograph.camera.translation)[:, 2]
         inside = (depth > 0) & (at > 0).all(axis=1) & (at < (400, 300)).all(axis=1)
         assert inside.sum() > 100
         # Most points have the colours of where they are seen (some are hidden), not those of the image upside down.
         x, y = at[inside].astype(int).T
-        colours = found.colours[inside].astype(int)
+        colours = taken.colours[inside].astype(int)
         own, other = (
             np.median(np.abs(image[y, x] - colours)) for image in (photograph.image, photograph.image[::-1, ::-1])
         )

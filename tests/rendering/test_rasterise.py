@@ -334,9 +334,9 @@ def digest() -> str:
     image = torch.from_numpy(rendering.image).requires_grad_()
     value = 1 - Photometric.apply(image, target, 1.0)
     value.backward()
-    found = [rendering.image, rendering.transmittance, rendering.radius, *vars(gradients).values()]
-    found += [value.detach().numpy(), image.grad.numpy()]
-    return hashlib.sha256(b"".join(np.ascontiguousarray(v).tobytes() for v in found)).hexdigest()
+    arrays = [rendering.image, rendering.transmittance, rendering.radius, *vars(gradients).values()]
+    arrays += [value.detach().numpy(), image.grad.numpy()]
+    return hashlib.sha256(b"".join(np.ascontiguousarray(v).tobytes() for v in arrays)).hexdigest()
 
 
 @pytest.mark.slow
@@ -351,9 +351,9 @@ for threads in (1, 2, 3):
 """
     environment = {**os.environ, "NUMBA_NUM_THREADS": "3"}
     done = subprocess.run([sys.executable, "-c", program], env=environment, check=True, capture_output=True, text=True)
-    found = done.stdout.split()
-    assert len(found) == 3
-    assert len(set(found)) == 1
+    digests = done.stdout.split()
+    assert len(digests) == 3
+    assert len(set(digests)) == 1
 
 
 def test_no_torch() -> None:
@@ -430,10 +430,10 @@ def test_what_gsplat_is_given(monkeypatch: pytest.MonkeyPatch) -> None:
             torch.zeros(1, len(values[0]), 2, dtype=torch.float64, requires_grad=True),
         )
         pose = (v.double().numpy() for v in (view[0, :3, :3], view[0, :3, 3]))
-        found = Camera("", width, height, *matrix[[0, 1, 0, 1], [0, 1, 2, 2]], *pose)
+        seen_from = Camera("", width, height, *matrix[[0, 1, 0, 1], [0, 1, 2, 2]], *pose)
         settings = Settings(eps2d, near_plane, background=tuple(backgrounds[0].tolist()))
         named = {name: value.double() for name, value in zip(NAMES, values, strict=True)}
-        image, transmittance, _ = dense({**named, "moved": place[0]}, found, settings)
+        image, transmittance, _ = dense({**named, "moved": place[0]}, seen_from, settings)
         radii = torch.arange(2 * len(values[0])).reshape(1, -1, 2)
         return image.float()[None], 1 - transmittance.float()[None, ..., None], {"means2d": place, "radii": radii}
 

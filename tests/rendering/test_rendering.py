@@ -54,18 +54,18 @@ def scene_of(seed: int, anchors: int = 60) -> tuple[Scene, Reconstruction, Camer
 def by_the_text(spec: dict, scene: Scene, values: Reconstruction, camera: Camera) -> list[tuple]:
     networks = {name: [(w.tolist(), b.tolist()) for w, b in scene.networks[name]] for name in RENDERING}
     parts = (values.positions, values.features, values.scalings, values.offsets)
-    view, found = (camera.centre.tolist(), scene.render.distance_unit), []
+    view, drawn = (camera.centre.tolist(), scene.render.distance_unit), []
     for n in range(scene.anchor_count):
         row = (part[n].astype(np.float64).tolist() for part in parts)
-        found += spec["GAUSSIANS"](networks, *row, scene.masks[n].tolist(), *view)
-    return found
+        drawn += spec["GAUSSIANS"](networks, *row, scene.masks[n].tolist(), *view)
+    return drawn
 
 
-def compared(found: Gaussians, wanted: list[tuple], tolerance: float) -> None:
+def compared(actual: Gaussians, wanted: list[tuple], tolerance: float) -> None:
     """Each vector within a tolerance relative to its length."""
-    assert len(found.opacity) == len(wanted) > 0
+    assert len(actual.opacity) == len(wanted) > 0
     for name, column in (("mean", 0), ("lengths", 1), ("quaternion", 2), ("opacity", 3), ("colour", 4)):
-        made = getattr(found, name).astype(np.float64).reshape(len(wanted), -1)
+        made = getattr(actual, name).astype(np.float64).reshape(len(wanted), -1)
         right = np.array([w[column] for w in wanted]).reshape(len(wanted), -1)
         assert (np.abs(made - right).max(axis=1) <= tolerance * np.linalg.norm(right, axis=1)).all(), name
 
@@ -77,18 +77,18 @@ def test_gaussians_are_those_of_the_text(spec: dict, seed: int) -> None:
     wanted = by_the_text(spec, scene, values, camera)
     compared(gaussians(values, scene.masks, scene.networks, camera, UNIT, np.float64), wanted, 1e-12)
     # In binary32 those whose opacity is next to nothing may come and go.
-    found = gaussians(values, scene.masks, scene.networks, camera, UNIT)
-    assert found.opacity.dtype == np.float32
-    assert abs(len(found.opacity) - len(wanted)) <= 1
-    if len(found.opacity) == len(wanted):
-        compared(found, wanted, 1e-4)
+    single = gaussians(values, scene.masks, scene.networks, camera, UNIT)
+    assert single.opacity.dtype == np.float32
+    assert abs(len(single.opacity) - len(wanted)) <= 1
+    if len(single.opacity) == len(wanted):
+        compared(single, wanted, 1e-4)
 
 
 def test_masked_offsets_and_negative_opacities_give_nothing(spec: dict) -> None:
     scene, values, camera = scene_of(9)
-    found = gaussians(values, scene.masks, scene.networks, camera, UNIT)
-    assert scene.masks[found.anchor, found.offset].all()
-    assert (found.opacity > 0).all()
+    drawn = gaussians(values, scene.masks, scene.networks, camera, UNIT)
+    assert scene.masks[drawn.anchor, drawn.offset].all()
+    assert (drawn.opacity > 0).all()
     nothing = replace(scene, masks=np.zeros_like(scene.masks))
     assert len(gaussians(values, nothing.masks, scene.networks, camera, UNIT).opacity) == 0
     assert by_the_text(spec, nothing, values, camera) == []
@@ -104,9 +104,9 @@ def test_an_anchor_in_the_camera_and_a_quaternion_of_nothing(spec: dict) -> None
     masks = np.ones_like(scene.masks)
     values = replace(values, positions=camera.centre[None].astype(np.float32))
     camera = replace(camera, translation=-camera.rotation @ values.positions[0].astype(np.float64))
-    found = gaussians(values, masks, scene.networks, camera, UNIT, np.float64)
-    assert found.quaternion.tolist() == [[1, 0, 0, 0]] * len(found.opacity)
-    compared(found, by_the_text(spec, replace(scene, masks=masks), values, camera), 1e-9)
+    drawn = gaussians(values, masks, scene.networks, camera, UNIT, np.float64)
+    assert drawn.quaternion.tolist() == [[1, 0, 0, 0]] * len(drawn.opacity)
+    compared(drawn, by_the_text(spec, replace(scene, masks=masks), values, camera), 1e-9)
 
 
 SIDES = st.integers(1, (1 << 32) - 1)
@@ -144,7 +144,7 @@ def test_rotation_is_that_of_the_text(spec: dict, seed: int) -> None:
 # --- images -----------------------------------------------------------------------------------------------------------
 
 
-def drawn_by_the_text(spec: dict, found: Gaussians, camera: Camera, info: RenderInfo) -> np.ndarray:
+def drawn_by_the_text(spec: dict, cloud_of: Gaussians, camera: Camera, info: RenderInfo) -> np.ndarray:
     """An image by PROJECT and PIXEL."""
     stated = {
         "rotation": camera.rotation.tolist(),
@@ -154,17 +154,17 @@ def drawn_by_the_text(spec: dict, found: Gaussians, camera: Camera, info: Render
         "size": (camera.width, camera.height),
     }
     drawn = []
-    for n in range(len(found.opacity)):
-        shape = (getattr(found, name)[n].astype(np.float64).tolist() for name in ("mean", "lengths", "quaternion"))
+    for n in range(len(cloud_of.opacity)):
+        shape = (getattr(cloud_of, name)[n].astype(np.float64).tolist() for name in ("mean", "lengths", "quaternion"))
         projection = spec["PROJECT"](*shape, stated, info.near_plane, info.low_pass)
         if projection is not None:
-            drawn.append((projection, float(found.opacity[n]), found.colour[n].tolist()))
+            drawn.append((projection, float(cloud_of.opacity[n]), cloud_of.colour[n].tolist()))
     drawn.sort(key=lambda d: d[0][2])
     background = [b / 255 for b in info.background]
 
     def pixel(j: int, i: int) -> list[float]:
-        found: list[float] = spec["PIXEL"](i + 0.5, j + 0.5, drawn, background, info.alpha_max)
-        return found
+        colour: list[float] = spec["PIXEL"](i + 0.5, j + 0.5, drawn, background, info.alpha_max)
+        return colour
 
     return np.array([[pixel(j, i) for i in range(camera.width)] for j in range(camera.height)])
 
@@ -192,16 +192,16 @@ def rasterise() -> Any:
 VIEW = Camera("view", 37, 21, 30.0, 28.0, 17.0, 11.5, np.eye(3), np.zeros(3))
 
 
-def same_depth(found: Gaussians) -> None:
-    found.mean[:, 2] = 3
+def same_depth(splats: Gaussians) -> None:
+    splats.mean[:, 2] = 3
 
 
-def opaque(found: Gaussians) -> None:
-    found.opacity[:] = 1
+def opaque(splats: Gaussians) -> None:
+    splats.opacity[:] = 1
 
 
-def not_points(found: Gaussians) -> None:
-    found.lengths[:] = np.maximum(found.lengths, 0.01)
+def not_points(splats: Gaussians) -> None:
+    splats.lengths[:] = np.maximum(splats.lengths, 0.01)
 
 
 BACKGROUND = {"background": (10, 200, 90)}
@@ -224,11 +224,11 @@ IMAGES: list[tuple[tuple[int, int, float], Any, float, dict[str, Any]]] = [
 def test_images_are_those_of_the_text(
     spec: dict, made_of: tuple[int, int, float], change: Any, angle: float, info: dict[str, Any], rasterise: Any
 ) -> None:
-    found, render = cloud(*made_of), RenderInfo(**info)
+    splats, render = cloud(*made_of), RenderInfo(**info)
     if change:
-        change(found)
+        change(splats)
     view = replace(VIEW, rotation=np.array([[1, 0, -angle], [0, 1, 0], [angle, 0, 1]]))
-    made, wanted = rasterise.image(found, view, render), drawn_by_the_text(spec, found, view, render)
+    made, wanted = rasterise.image(splats, view, render), drawn_by_the_text(spec, splats, view, render)
     assert made.shape == (21, 37, 3)
     assert made.dtype == np.float32
     assert np.abs(made - wanted).max() < (1e-5 if change is same_depth else 5e-3)
@@ -242,66 +242,66 @@ def test_images_are_those_of_the_text(
 @pytest.mark.parametrize("size", [1e3, 1e6, 1e9, 1e15, 1e18])
 def test_long_and_far(spec: dict, size: float, rasterise: Any) -> None:
     """Needles that reach into the image from far outside, and Gaussians that hardly change over it."""
-    found = cloud(10, 6, 0.3)
-    found.mean[:, 0], found.mean[:3, 1], found.mean[:, 2] = size * np.array([-1, 1, -0.5, 1, -2, 0.3]), 0.1, 3
-    found.mean[3:, 1] = size * np.array([0.2, -0.5, 0.1])
-    found.quaternion[:] = (1, 0, 0, 0)
-    found.lengths[:] = size
-    found.lengths[:3, 1:] = 0.3
+    splats = cloud(10, 6, 0.3)
+    splats.mean[:, 0], splats.mean[:3, 1], splats.mean[:, 2] = size * np.array([-1, 1, -0.5, 1, -2, 0.3]), 0.1, 3
+    splats.mean[3:, 1] = size * np.array([0.2, -0.5, 0.1])
+    splats.quaternion[:] = (1, 0, 0, 0)
+    splats.lengths[:] = size
+    splats.lengths[:3, 1:] = 0.3
     info = RenderInfo(background=(10, 200, 90))
-    made = rasterise.image(found, VIEW, info)
+    made = rasterise.image(splats, VIEW, info)
     assert (made != made[0, 0]).any()
-    assert np.allclose(made, drawn_by_the_text(spec, found, VIEW, info), atol=1e-4)
+    assert np.allclose(made, drawn_by_the_text(spec, splats, VIEW, info), atol=1e-4)
 
 
 @pytest.mark.parametrize("seed", range(12))
 def test_any_sizes(spec: dict, seed: int, rasterise: Any) -> None:
     """The text with 60 digits: binary64 does not hold its d of a needle. Bound: what float32 makes of a pixel."""
     rng = np.random.default_rng(seed)
-    found, q = cloud(seed, 6), rng.normal(size=4)
+    splats, q = cloud(seed, 6), rng.normal(size=4)
     magnitude = np.exp2(rng.uniform(-30, 30, (2, 6, 3))).astype(np.float32)
-    found = replace(found, mean=found.mean * magnitude[0], lengths=found.lengths * magnitude[1])
+    splats = replace(splats, mean=splats.mean * magnitude[0], lengths=splats.lengths * magnitude[1])
     camera = Camera("view", 11, 7, 9.0, 8.0, 5.0, 3.5, rotation_matrix(q / np.linalg.norm(q)), np.array([0, 0, 3.0]))
     info = RenderInfo(low_pass=(0.0, 1e-9, 0.3, 100.0)[seed % 4], near_plane=1e-30, background=(10, 200, 90))
     with mpmath.workdps(60):
         mp = np.frompyfunc(lambda x: mpmath.mpf(float(x)), 1, 1)
-        quaternion = [[x / mpmath.norm(row.tolist()) for x in row] for row in mp(found.quaternion)]
+        quaternion = [[x / mpmath.norm(row.tolist()) for x in row] for row in mp(splats.quaternion)]
         stated = {
             "rotation": mp(camera.rotation).tolist(), "translation": mp(camera.translation).tolist(), "focal": (9, 8),
             "principal_point": (5, 3.5), "size": (11, 7),
         }  # fmt: skip
-        shapes = zip(mp(found.mean).tolist(), mp(found.lengths).tolist(), quaternion, strict=True)
+        shapes = zip(mp(splats.mean).tolist(), mp(splats.lengths).tolist(), quaternion, strict=True)
         projected = [spec["PROJECT"](*shape, stated, info.near_plane, info.low_pass) for shape in shapes]
         drawn = [
             (p, o, c)
-            for p, o, c in zip(projected, found.opacity.tolist(), found.colour.tolist(), strict=True)
+            for p, o, c in zip(projected, splats.opacity.tolist(), splats.colour.tolist(), strict=True)
             if p is not None
         ]
         drawn.sort(key=lambda d: d[0][2])
         rest = (drawn, [b / 255 for b in info.background], info.alpha_max)
         wanted = np.array([[spec["PIXEL"](i + 0.5, j + 0.5, *rest) for i in range(11)] for j in range(7)]).astype(float)
-    assert np.abs(rasterise.image(found, camera, info) - wanted).max() < 1e-5
+    assert np.abs(rasterise.image(splats, camera, info) - wanted).max() < 1e-5
 
 
 @pytest.mark.filterwarnings("error")
 def test_hostile_numbers_give_an_image(rasterise: Any) -> None:
     """Whatever a valid file's floats are, an image is made, of finite numbers and without a warning."""
-    found = cloud(7, 40)
-    found.mean[:10] = [[1e30, 0, 1], [0, 0, 0.2], [0, 0, 1e-30], [np.inf, 0, 1], [np.nan, 0, 1], *[[0, 0, 1e20]] * 5]
-    found.lengths[10:13] = [[0, 0, 0], [1e30, 1e30, 1e30], [np.inf, 1, 1]]
-    found.lengths[13:16] = [[1e-40, 1, 1], [1e18, 1e-18, 0], [1e6, 1e6, 1e6]]
-    assert np.isfinite(rasterise.image(found, VIEW, RenderInfo())).all()
-    found.colour[20:23] = [[np.nan, 0, 0], [0, np.inf, 0], [0, 0, -np.inf]]
-    assert np.isfinite(rasterise.image(found, VIEW, RenderInfo())).all()
+    splats = cloud(7, 40)
+    splats.mean[:10] = [[1e30, 0, 1], [0, 0, 0.2], [0, 0, 1e-30], [np.inf, 0, 1], [np.nan, 0, 1], *[[0, 0, 1e20]] * 5]
+    splats.lengths[10:13] = [[0, 0, 0], [1e30, 1e30, 1e30], [np.inf, 1, 1]]
+    splats.lengths[13:16] = [[1e-40, 1, 1], [1e18, 1e-18, 0], [1e6, 1e6, 1e6]]
+    assert np.isfinite(rasterise.image(splats, VIEW, RenderInfo())).all()
+    splats.colour[20:23] = [[np.nan, 0, 0], [0, np.inf, 0], [0, 0, -np.inf]]
+    assert np.isfinite(rasterise.image(splats, VIEW, RenderInfo())).all()
     # Any magnitudes of means and lengths, with the least and the largest values of the render information.
     rng = np.random.default_rng(12)
     least, most = float(np.finfo(np.float32).smallest_subnormal), float(np.finfo(np.float32).max)
     for near_plane, low_pass, focal in ((least, 0.0, most), (least, most, least), (1.0, 0.0, 30.0), (most, 0.3, 30.0)):
-        found = cloud(13, 300)
+        splats = cloud(13, 300)
         magnitude = np.exp2(rng.uniform(-140, 120, (2, 300, 3))).astype(np.float32)
-        found = replace(found, mean=found.mean * magnitude[0], lengths=found.lengths * magnitude[1])
+        splats = replace(splats, mean=splats.mean * magnitude[0], lengths=splats.lengths * magnitude[1])
         stated = NamedCamera("least", 40, 30, (focal, focal), (20.0, 15.0))
-        made = rasterise.image(found, default_camera(stated), RenderInfo(near_plane=near_plane, low_pass=low_pass))
+        made = rasterise.image(splats, default_camera(stated), RenderInfo(near_plane=near_plane, low_pass=low_pass))
         assert np.isfinite(made).all()
 
 
@@ -314,8 +314,8 @@ def test_hostile_networks_give_gaussians() -> None:
         layers[-1][0][:] *= np.float32(1e20)
     values = replace(values, scalings=values.scalings * np.float32(1e4), positions=values.positions * np.float32(1e30))
     for dtype in (np.float32, np.float64):
-        found = gaussians(values, scene.masks, scene.networks, camera, UNIT, dtype)
-        assert (found.opacity > 0).all()
+        drawn = gaussians(values, scene.masks, scene.networks, camera, UNIT, dtype)
+        assert (drawn.opacity > 0).all()
 
 
 @pytest.mark.requirement("G6.5-1")

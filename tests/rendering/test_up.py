@@ -127,9 +127,9 @@ def test_up_is_found(name: str, up: int) -> None:
     other = looking(target, np.roll(target, 1))  # its third row is what is up
     rotation = askew @ other.T
     cameras, points = turned(RIGS[name], rotation)
-    found = up_direction(cameras, points)
-    assert np.linalg.norm(found) == pytest.approx(1)
-    away = np.degrees(np.arccos(min(found @ rotation @ Z, 1)))
+    direction = up_direction(cameras, points)
+    assert np.linalg.norm(direction) == pytest.approx(1)
+    away = np.degrees(np.arccos(min(direction @ rotation @ Z, 1)))
     if name in TILTED:
         # Nothing says how far they look down. They do so by 27 degrees.
         assert away < 30
@@ -192,10 +192,10 @@ def test_the_viewer_finds_the_same() -> None:
     """
     command = ["node", "--input-type=module", "-e", program]
     run = subprocess.run(command, input=json.dumps(asked), capture_output=True, text=True, check=True)
-    found = np.array(json.loads(run.stdout))
-    np.testing.assert_allclose(found, wanted, atol=1e-6)
+    directions = np.array(json.loads(run.stdout))
+    np.testing.assert_allclose(directions, wanted, atol=1e-6)
     # Some are finer than an axis.
-    assert (np.abs(found).max(axis=1) < 0.99).any()
+    assert (np.abs(directions).max(axis=1) < 0.99).any()
 
 
 def test_encode_says_what_is_up_and_drops_cameras(tmp_path: Path) -> None:
@@ -208,10 +208,10 @@ def test_encode_says_what_is_up_and_drops_cameras(tmp_path: Path) -> None:
     assert main(["encode", str(folder), "-o", str(other)]) == 0
     assert other.read_bytes() == file.read_bytes()
     assert main(["encode", str(folder), "-o", str(other), "--up=-z", "--cameras", "2"]) == 0
-    found = parse(other.read_bytes()).scene
-    assert found.render == replace(scene.render, up_axis=5)
-    assert cameras(found.ancillary) == stated[:2]
-    assert digest(replace(found, render=scene.render)) == digest(scene)
+    parsed = parse(other.read_bytes()).scene
+    assert parsed.render == replace(scene.render, up_axis=5)
+    assert cameras(parsed.ancillary) == stated[:2]
+    assert digest(replace(parsed, render=scene.render)) == digest(scene)
     assert main(["encode", str(folder), "-o", str(other), "--cameras", "0"]) == 0
     assert CAMERAS not in other.read_bytes()
 

@@ -47,12 +47,12 @@ class Durations:
 
 def chosen(seconds: dict[str, float], names: dict[str, set[str]]) -> list[str]:
     """Returns tests that have all requirements: first the fastest for those that the fewest tests have."""
-    found: set[str] = set()
+    picked: set[str] = set()
     by_name = {name: [test for test in names if name in names[test]] for test in names for name in names[test]}
     for tests in sorted(by_name.values(), key=lambda tests: (len(tests), tests)):
-        if not found & set(tests):
-            found.add(min(tests, key=lambda test: (seconds[test], test)))
-    return sorted([*WHOLE, *found])
+        if not picked & set(tests):
+            picked.add(min(tests, key=lambda test: (seconds[test], test)))
+    return sorted([*WHOLE, *picked])
 
 
 if __name__ == "__main__":

@@ -39,9 +39,9 @@ DATA = (SUITE.folder / EXAMPLE.input.path).read_bytes()
 def test_probes_change_nothing() -> None:
     probes = probed()
     for data in (DATA, DATA[:-1], b""):
-        found, error = spec_decoder.verdict(probes.names, data)
+        digests, error = spec_decoder.verdict(probes.names, data)
         own, wrong = spec_decoder.verdict(spec_decoder.names(), data)
-        assert (found, error) == (own, wrong)
+        assert (digests, error) == (own, wrong)
     assert {site.kind for site in probes.sites} == {LINE, TRUE, FALSE, AT, BEYOND}
     assert {site.function for site in probes.sites} >= IMAGES
     assert probes.extremes["accumulator of a row"][1] < 1 << 24
@@ -59,16 +59,16 @@ def test_each_quantity_has_its_bound() -> None:
 def test_a_hole_is_shown() -> None:
     sites = probed().sites
     place = next(n for n, site in enumerate(sites) if site.function == "RSHIFT_ROUND")
-    found = [["a", "b"] for _ in sites]
-    assert report(sites, found)[1] == 0
-    found[place] = []
-    lines, holes = report(sites, found)
+    reaching = [["a", "b"] for _ in sites]
+    assert report(sites, reaching)[1] == 0
+    reaching[place] = []
+    lines, holes = report(sites, reaching)
     assert holes == 1
     assert any(f"line {sites[place].line}: {sites[place].text}" in line for line in lines)
     for n, site in enumerate(sites):
         if site.function in IMAGES:
-            found[n] = []
-    assert report(sites, found)[1] == 1
+            reaching[n] = []
+    assert report(sites, reaching)[1] == 1
 
 
 def test_a_file_reaches_what_it_has() -> None:
@@ -120,8 +120,8 @@ def test_extremes_of_elements(tmp_path: Path) -> None:
                 expectation=Rejected(214, "header.render_info", offset, "6.5"),
             ),
         )
-        found = elements.of_vectors(replace(manifest, vectors=vectors, folder=tmp_path))
-        assert found[name].ends()[1] == proof
+        ranges = elements.of_vectors(replace(manifest, vectors=vectors, folder=tmp_path))
+        assert ranges[name].ends()[1] == proof
     lines, holes = elements.report(SPEC.read_text(encoding="utf-8"), manifest)
     assert holes > 0
     assert any(line.startswith("  Frame.low: no vector has it") for line in lines) == (
@@ -138,8 +138,8 @@ def test_no_element_is_without_its_extremes() -> None:
 
 def test_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     small = replace(SUITE, vectors=(EXAMPLE,))
-    found, _ = of_vectors(small, 1)
-    assert {name for names in found for name in names} == {ANY_FILE, EXAMPLE.id}
+    reaching, _ = of_vectors(small, 1)
+    assert {name for names in reaching for name in names} == {ANY_FILE, EXAMPLE.id}
     monkeypatch.setattr(coverage, "load", lambda: small)
     assert coverage.main(1) == 1
     assert "REQUIRE" in capsys.readouterr().out

@@ -71,8 +71,8 @@ def test_every_table_and_field_is_described() -> None:
     for name, fields in SYNTAX.items():
         body = re.search(rf"^  {snake(name)}:\n((?:    .*\n)+)", text, re.MULTILINE)
         assert body is not None, name
-        found = re.split(r"^      - id: ", body[1].partition("    seq:\n")[2], flags=re.MULTILINE)[1:]
-        own = [item for item in found if not item.startswith(("further\n", "items\n"))]
+        items = re.split(r"^      - id: ", body[1].partition("    seq:\n")[2], flags=re.MULTILINE)[1:]
+        own = [item for item in items if not item.startswith(("further\n", "items\n"))]
         for item, (field, kind) in zip(own, fields, strict=True):
             given = dict(line.strip().split(": ", 1) for line in item.splitlines()[1:])
             wanted = keys(kind) | {"doc": json.dumps(meanings[f"{name}.{field}"][1], ensure_ascii=False)}
@@ -124,13 +124,13 @@ def test_kaitai_struct_reads_the_vectors(tmp_path: Path) -> None:
     assert len(paths) > 300
     for path in paths:
         data = path.read_bytes()
-        found = module.C3gs.from_bytes(data)
-        assert found._io.pos() == len(data), path.name
+        parsed = module.C3gs.from_bytes(data)
+        assert parsed._io.pos() == len(data), path.name
         for name, start in (("Prologue", 0), ("Header", size_of("Prologue"))):
             for element in parse_elements(name, data, start):
                 if element.kind == "padding" or element.path in ("signature", "header_crc"):
                     continue
-                value = at(getattr(found, name.lower()), element.path)
+                value = at(getattr(parsed, name.lower()), element.path)
                 wanted = element.value.decode("latin-1") if element.path.endswith(".type") else element.value
                 assert value == wanted, f"{path.name}: {element.path}"
 

@@ -36,8 +36,8 @@ def test_a_change_needs_a_line_in_the_changelog(tmp_path: Path, monkeypatch: pyt
     def made(line: str, unreleased: str, released: str) -> Made:
         changes.write_text(f"# Changelog\n\n## Unreleased\n\n{unreleased}\n## 0.1.0\n{released}", encoding="utf-8")
         monkeypatch.setattr(public, "lines", lambda: iter([line]))
-        (found,) = public.made()
-        return found
+        (file,) = public.made()
+        return file
 
     made("old(x: 'int') -> None", "- first\n", "").write()
     # What was released before does not count.

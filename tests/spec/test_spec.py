@@ -94,9 +94,9 @@ def test_constants() -> None:
     assert len(printed) > 30
     for name, value, clause, _ in printed:
         expected = eval(value.replace("^", "**"))  # a formula of numbers
-        found = [getattr(module, name) for module in MODULES if hasattr(module, name)]
-        assert found, f"no module has {name}"
-        assert all(f == expected for f in found), name
+        values = [getattr(module, name) for module in MODULES if hasattr(module, name)]
+        assert values, f"no module has {name}"
+        assert all(f == expected for f in values), name
         assert re.search(rf"^#+ {re.escape(clause)} ", TEXT, re.MULTILINE), clause
         assert len(re.findall(rf"\b{name}\b", TEXT)) > 1, f"{name} is never used"
 
@@ -137,9 +137,9 @@ def test_each_error_is_stated_once() -> None:
         assert ("not supported" in words) == (kind.klass == "unsupported"), kind
     for number, text in clause_texts().items():
         prose = re.sub(r"^- \[R.*$", "", text, flags=re.MULTILINE)
-        found = {name for name in re.findall(r"`([a-z_]+\.[a-z_]+)`", prose) if name in errors.REGISTRY}
+        cited = {name for name in re.findall(r"`([a-z_]+\.[a-z_]+)`", prose) if name in errors.REGISTRY}
         # What a decoder of some profiles and levels reports of the others.
-        assert found == ({"header.profile", "header.level"} if number == "15.4" else set()), number
+        assert cited == ({"header.profile", "header.level"} if number == "15.4" else set()), number
 
 
 def test_constants_are_named_and_not_repeated() -> None:
@@ -153,19 +153,19 @@ def test_constants_are_named_and_not_repeated() -> None:
             continue
         forms = "|".join(map(re.escape, (printed, str(value), f"{value:,}")))
         for number, text in texts.items():
-            found = re.findall(rf"(?<![\w.,^*+-])(?:{forms})(?![\w.^,])", text)
-            assert {(number, form) for form in found} <= others, (name, number, found)
+            repeated = re.findall(rf"(?<![\w.,^*+-])(?:{forms})(?![\w.^,])", text)
+            assert {(number, form) for form in repeated} <= others, (name, number, repeated)
 
 
 def test_every_normative_sentence_is_a_requirement() -> None:
     """Identifiers are unique and named after the clause they stand in; what obliges anyone has one."""
-    found = re.findall(r"^- \[(([RDGE])([^\]-]+)-\d+)\] (.*)$", TEXT, re.MULTILINE)
-    assert len({name for name, *_ in found}) == len(found) > 70
-    for name, letter, clause, sentence in found:
+    listed = re.findall(r"^- \[(([RDGE])([^\]-]+)-\d+)\] (.*)$", TEXT, re.MULTILINE)
+    assert len({name for name, *_ in listed}) == len(listed) > 70
+    for name, letter, clause, sentence in listed:
         assert clause in HEADINGS, name
         assert "MUST" in sentence.partition(". ")[0], name
         assert (letter == "R") == bool(re.search(r"\(`[a-z_]+\.[a-z_]+`\)", sentence)), name
-    for clause in {c for _, _, c, _ in found}:
+    for clause in {c for _, _, c, _ in listed}:
         text = TEXT.partition(f"## Annex {clause}")[2] if clause.isalpha() else section(clause)
         assert re.search(rf"^- \[[RDGE]{re.escape(clause)}-1\]", text, re.MULTILINE), clause
     body = re.sub(r"^- \[[RDGE].*$", "", PROSE.replace(section("2.1"), ""), flags=re.MULTILINE)
@@ -196,9 +196,9 @@ def test_the_order_of_checks_is_whole() -> None:
     # FIELDS is in the order of the codes.
     step = re.search(r"^- FIELDS.*?(?=^- DIRECTORY)", order, re.DOTALL | re.MULTILINE)[0]
     codes = {kind.requirement: kind.code for kind in errors.REGISTRY.values()}
-    found = [codes[name] for name in re.findall(r"R[\d.]+-\d+", step)]
-    assert found == sorted(found)
-    assert len(found) == 12
+    ordered = [codes[name] for name in re.findall(r"R[\d.]+-\d+", step)]
+    assert ordered == sorted(ordered)
+    assert len(ordered) == 12
 
 
 def test_the_matrix_has_no_holes() -> None:
@@ -247,8 +247,8 @@ def largest_main() -> Dimensions:
         if networks == 0:
             return 0, ()
         widths = range(1, min(64, FEATURES_MAX - features - networks + 1) + 1)
-        found = ((best(networks - 1, features + w), w) for w in widths)
-        return max((rest[0] + 128 * features + 129 * 2 * w, (w, *rest[1])) for rest, w in found)
+        choices = ((best(networks - 1, features + w), w) for w in widths)
+        return max((rest[0] + 128 * features + 129 * 2 * w, (w, *rest[1])) for rest, w in choices)
 
     slices = max(((w, *best(15, w)[1]) for w in range(1, 65)), key=lambda s: best(15, s[0])[0])
     top = {name: getattr(main, name)[1] for name in vars(main) if isinstance(getattr(main, name), tuple)}
@@ -448,8 +448,8 @@ def test_the_formulas_of_the_prose(spec: dict) -> None:
         f = value(weight, g=g, c=c)
         ramp = [[[16 * j for j in range(s)] for _ in range(s)]]
         # A plane that rises along its columns shows cell and weight.
-        found = called("QUERY", ramp, [u[0], 0], 0)[0]
-        assert found == value(sample, sum=(c * 256 + f) * 16 * 256, plane_shift=0)
+        result = called("QUERY", ramp, [u[0], 0], 0)[0]
+        assert result == value(sample, sum=(c * 256 + f) * 16 * 256, plane_shift=0)
         for k in range(16):
             t = value(turn, phase=value(phase, u_2=u[0], k=k))
             entries = value(sine, t=t), value(cosine, t=t)
@@ -479,10 +479,10 @@ def test_the_formulas_of_the_prose(spec: dict) -> None:
         exact = value(formulas("7.8")[0], base_step=Fraction(base), step_table=spec["STEP"][q])
         assert abs(Fraction(f32_of(step)) - exact) <= exact / (1 << 24)
         unrounded = y * Fraction(f32_of(step))
-        found = called("VALUE", y, step)
-        assert abs(Fraction(f32_of(found)) - unrounded) <= abs(unrounded) / (1 << 24)
+        result = called("VALUE", y, step)
+        assert abs(Fraction(f32_of(result)) - unrounded) <= abs(unrounded) / (1 << 24)
         # A binary32 multiplication gives it.
-        assert found == f32_bits(float(np.float32(y) * np.float32(f32_of(step))))
+        assert result == f32_bits(float(np.float32(y) * np.float32(f32_of(step))))
     # The fewest chunks, and the least bytes of one.
     (fewest,) = formulas("6.2")
     for n, size in [(0, 3), (1, 3), (6, 3), (7, 3), (4096, 65536)]:
@@ -501,8 +501,8 @@ def test_the_formulas_of_the_prose(spec: dict) -> None:
         for name, shapes in d.network_shapes().items():
             counts[name[:4]] += sum(out * (fan_in + 1) for out, fan_in in shapes)
         names = {"N": 1000, "W_a": counts["hype"] + counts["carm"], "W_s": counts["sarm"], "D": d.attribute_width}
-        found = value(formulas("11.2")[0], ch=d.plane_channels, B=d.plane_size, **names)
-        assert found == work(d, 1000) == called("WORK", header_of(spec, d, 1000))
+        result = value(formulas("11.2")[0], ch=d.plane_channels, B=d.plane_size, **names)
+        assert result == work(d, 1000) == called("WORK", header_of(spec, d, 1000))
     index, masked = formulas("7.6")
     order = [value(index, k=k, n=n) for k in range(10) for n in range(k + 1)]
     assert order == list(range(55))
@@ -593,7 +593,7 @@ def test_the_formulas_of_annex_a() -> None:
                 b, m = scale(i=i), mean(f=f)
                 radius = radius_rule(b=b)
                 assert models.radius[model] == radius
-                found = np.diff(model_bounds(models, model)).tolist()
+                frequencies = np.diff(model_bounds(models, model)).tolist()
                 right = [
                     frequency(
                         p=lambda d, g=distribution, b=b, m=m: share(G=lambda y: g(x=y, b=b), d=d, m=m), d=mpmath.mpf(d)
@@ -602,7 +602,7 @@ def test_the_formulas_of_annex_a() -> None:
                 ]
                 largest = right.index(max(right))
                 right[largest] += (1 << 14) - 1 - sum(right)
-                assert found == [*right, 1], (i, f)
+                assert frequencies == [*right, 1], (i, f)
 
 
 def model_bounds(models: tables.ModelSet, model: int) -> np.ndarray:
@@ -645,8 +645,8 @@ def test_profiles_and_levels(spec: dict) -> None:
     for number, profile in PROFILES.items():
         for name, low, high in spec["BOUNDS"][number]:
             assert (low, high) == getattr(profile, name), name
-        found = {level["level"]: level for level in spec["LEVELS"] if level["profile"] == number}
-        assert {n: (x["anchor_count"], x["plane_size"], x["work"]) for n, x in found.items()} == {
+        levels = {level["level"]: level for level in spec["LEVELS"] if level["profile"] == number}
+        assert {n: (x["anchor_count"], x["plane_size"], x["work"]) for n, x in levels.items()} == {
             n: (x.anchors, x.plane_size, x.work) for n, x in profile.levels.items()
         }
     printed = {name: cells for name, *cells in rows(section("11.1"))}
@@ -689,11 +689,11 @@ def agree(spec: dict, data: bytes) -> None:
     """
     digests, error = spec_decoder.verdict(spec, data)
     assert error is None
-    found = codec.parse(data).scene
-    whole, parts = reconstruction.digest(found)
+    scene = codec.parse(data).scene
+    whole, parts = reconstruction.digest(scene)
     assert bytes(digests["scene"]).hex() == whole
     assert [bytes(part).hex() for part in digests["parts"]] == list(parts.values())
-    chunks = [reconstruction.chunk_digest(take_anchors(found, np.array(anchors))) for anchors in found.chunks]
+    chunks = [reconstruction.chunk_digest(take_anchors(scene, np.array(anchors))) for anchors in scene.chunks]
     assert [bytes(chunk).hex() for chunk in digests["chunks"]] == chunks
 
 
@@ -715,12 +715,12 @@ def test_the_notation_of_the_blocks() -> None:
     The block that says in Python what REFUSE does is the only one with a class.
     """
     exact = re.sub(r"^## 14 .*?(?=^## Annex A)", "", TEXT, flags=re.DOTALL | re.MULTILINE)
-    found = re.findall(r"^```python\n(.*?)^```", exact, re.DOTALL | re.MULTILINE)
-    defined = set(re.findall(r"^(?:def )?([A-Z_0-9]+)(?:\(| =)", "\n".join(found), re.MULTILINE))
+    printed = re.findall(r"^```python\n(.*?)^```", exact, re.DOTALL | re.MULTILINE)
+    defined = set(re.findall(r"^(?:def )?([A-Z_0-9]+)(?:\(| =)", "\n".join(printed), re.MULTILINE))
     stated = section("2.4")
     for name in FUNCTIONS:
         assert f"`{name}" in stated, f"{name} is not in 2.4"
-    for block in found:
+    for block in printed:
         if "class Refused" in block:
             continue
         tree = ast.parse(block)
@@ -862,7 +862,7 @@ def test_packed_positions_and_weights_as_printed(spec: dict) -> None:
     printed = rows(section("D.3"))
     models = {int(r[0]): [int(f) for f in r[1].split(", ")] for r in printed if len(r) == 2}
     assert scene.position_model is not None
-    assert all(scene.position_model.frequency[n].tolist() == found for n, found in models.items())
+    assert all(scene.position_model.frequency[n].tolist() == frequency for n, frequency in models.items())
     cells: dict[tuple[int, str], list[int]] = {}
     for row, index in coded([r for r in printed if len(r) == 9], 3):
         assert [int(n) % 4 for n in row[8].split(", ") if n] == [i for i in range(4) if index >> i & 1]

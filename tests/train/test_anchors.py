@@ -65,11 +65,11 @@ def test_visible_anchors_are_those_of_the_formula_in_torch() -> None:
     position = 6 * torch.randn(4000, 3, generator=draw)
     tables = {name: torch.randn(4000, columns, generator=draw) for name, columns in (("offsets", 30), ("scalings", 6))}
     tables["scalings"] -= 2
-    found, wanted = (f(position, tables, 1.5, camera, 0.1) for f in (visible, visible_torch))
-    assert 400 < len(found) < 3600
-    assert found.dtype == wanted.dtype
+    seen, wanted = (f(position, tables, 1.5, camera, 0.1) for f in (visible, visible_torch))
+    assert 400 < len(seen) < 3600
+    assert seen.dtype == wanted.dtype
     # An anchor at the very edge may be on either side of it.
-    assert len(set(found.tolist()) ^ set(wanted.tolist())) <= 2
+    assert len(set(seen.tolist()) ^ set(wanted.tolist())) <= 2
 
 
 @pytest.mark.slow

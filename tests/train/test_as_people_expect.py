@@ -37,8 +37,8 @@ def place(source: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def evaluated(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[dict, str]:
     capsys.readouterr()
     assert main(["eval", *map(str, words), "--json"]) == 0
-    said = capsys.readouterr()
-    return json.loads(said.out), said.err
+    printed = capsys.readouterr()
+    return json.loads(printed.out), printed.err
 
 
 # --- other commands know of the training ------------------------------------------------------------------------------
@@ -48,28 +48,28 @@ def evaluated(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[dict,
 def test_eval_takes_what_the_training_took(place: Path, source: str, capsys: pytest.CaptureFixture[str]) -> None:
     """The size was forgotten: PSNR of full photographs was told without a word."""
     report = json.loads((place / "scene" / "training.json").read_text())
-    folder, said = evaluated(capsys, place / "scene", source)
-    assert said.count("\n") == 1
-    assert "to size 60, as in" in said
-    assert "training.json" in said
+    folder, note = evaluated(capsys, place / "scene", source)
+    assert note.count("\n") == 1
+    assert "to size 60, as in" in note
+    assert "training.json" in note
     # The same photographs, and the PSNR that the training had of them.
     assert [row["image"] for row in folder["images"]] == list(report["quantised"])
     assert folder["mean"]["psnr_3dgs"] == pytest.approx(
         sum(report["quantised"].values()) / len(folder["images"]), abs=0.02
     )
     # A file does not say which photographs were held out.
-    file, said = evaluated(capsys, place / "scene.c3gs", source, "--holdout", 5)
-    assert "to size 60, as in the camera of the scene" in said
+    file, note = evaluated(capsys, place / "scene.c3gs", source, "--holdout", 5)
+    assert "to size 60, as in the camera of the scene" in note
     for key in ("bytes", "parts", "mean", "images"):
         assert file[key] == folder[key]
     # It has the background of its photographs.
     assert parse((place / "scene.c3gs").read_bytes()).scene.render.background == (9, 20, 30)
-    given, said = evaluated(capsys, place / "scene.c3gs", source, "--holdout", 5, "--size", 60)
-    assert (given["mean"], said) == (file["mean"], "")
-    eighth, said = evaluated(capsys, place / "scene.c3gs", source, "--size", 60)
-    assert said.count("\n") == 1
-    assert "every 8th photograph" in said
-    assert "--holdout N compares every N-th one" in said
+    given, note = evaluated(capsys, place / "scene.c3gs", source, "--holdout", 5, "--size", 60)
+    assert (given["mean"], note) == (file["mean"], "")
+    eighth, note = evaluated(capsys, place / "scene.c3gs", source, "--size", 60)
+    assert note.count("\n") == 1
+    assert "every 8th photograph" in note
+    assert "--holdout N compares every N-th one" in note
     assert len(eighth["images"]) == 10
     assert len(evaluated(capsys, place / "plain", source, "--holdout", 0)[0]["images"]) == 75
 
@@ -78,8 +78,8 @@ def test_eval_takes_what_the_training_took(place: Path, source: str, capsys: pyt
 def test_full_photographs_are_asked_for(place: Path, source: str, capsys: pytest.CaptureFixture[str]) -> None:
     file, scene = place / "scene.c3gs", place / "plain"
     small = evaluated(capsys, file, source, "--holdout", 30)[0]["mean"]
-    full, said = evaluated(capsys, file, source, "--holdout", 30, "--size", "full")
-    assert said == ""
+    full, note = evaluated(capsys, file, source, "--holdout", 30, "--size", "full")
+    assert note == ""
     assert full["mean"]["psnr"] != small["psnr"]
     assert main(["render", str(scene), "--cameras", source, "-o", str(place / "images")]) == 0
     assert "to size 60" in capsys.readouterr().err

@@ -38,12 +38,12 @@ def test_a_training_ends_with_means(
     monkeypatch.setattr(Averaging, "_count", noted)
     trainer.run(lambda _: None)
     assert len(seen) == (STEPS - FIRST) // PERIOD + 1
-    found = values(trainer)
-    assert {"tables.features", "networks.colour_0_weight"} <= found.keys()
-    assert ("model.latents" in found) == (rate > 0)
-    for name, value in found.items():
+    ended = values(trainer)
+    assert {"tables.features", "networks.colour_0_weight"} <= ended.keys()
+    assert ("model.latents" in ended) == (rate > 0)
+    for name, value in ended.items():
         torch.testing.assert_close(value, torch.stack([each[name] for each in seen]).mean(dim=0))
-    assert not torch.equal(found["tables.features"], seen[-1]["tables.features"])
+    assert not torch.equal(ended["tables.features"], seen[-1]["tables.features"])
 
 
 def test_no_anchor_is_dropped_while_means_are_made(photographs: PhotographSet, small: TrainSettings) -> None:

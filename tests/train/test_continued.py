@@ -120,8 +120,8 @@ def test_masks_and_phases(tmp_path: Path) -> None:
     assert settings.phases == CONTINUED
     own = (Phase("all", 0.0, {"rate": "on"}),)
     assert continued_settings(given, replace(PRESETS["fast"], phases=own)).phases == own
-    found = beginning(given, photographs, settings)
-    assert np.array_equal(found.tables["masks"] > MASKED, scene.masks[np.lexsort(scene.values.positions.T[::-1])])
+    begun = beginning(given, photographs, settings)
+    assert np.array_equal(begun.tables["masks"] > MASKED, scene.masks[np.lexsort(scene.values.positions.T[::-1])])
     plain = varied(settings, {"rate.lambda_r": 0.0})
     with pytest.raises(ValueError, match="has masks"):
         beginning(given, photographs, plain)

@@ -93,9 +93,9 @@ def on_pretended(function: Any, arguments: Any, named: dict[str, Any]) -> Any:
         by_index = function in INDEXED and isinstance(arguments[0], Pretended)
         if not by_index or any(v.dim() for v in here if all(v is not i for i in arguments[1])):
             raise MixedDevicesError(str(function))
-    found = function(*(tree_map(_held, v) for v in arguments), **tree_map(_held, named))
+    result = function(*(tree_map(_held, v) for v in arguments), **tree_map(_held, named))
     if not (there if asked is None else torch.device(asked).type == DEVICE):
-        return found
+        return result
     known = {id(v.held): v for v in there}
 
     def moved(value: Any) -> Any:
@@ -104,7 +104,7 @@ def on_pretended(function: Any, arguments: Any, named: dict[str, Any]) -> Any:
         # What is changed in place stays the same tensor.
         return known[id(value)] if id(value) in known else Pretended(value)
 
-    return tree_map(moved, found)
+    return tree_map(moved, result)
 
 
 def _held(value: Any) -> Any:
@@ -228,9 +228,9 @@ def test_a_step_is_that_of_the_cpu(device: str, tiny: PhotographSet, tmp_path: P
             restore(each, path)
             each.noise.manual_seed(done)
             each.step()
-        found, expected = (tensors(each) for each in pair)
-        assert found.keys() == expected.keys()
-        for name, value in found.items():
+        actual, expected = (tensors(each) for each in pair)
+        assert actual.keys() == expected.keys()
+        for name, value in actual.items():
             assert value.shape == expected[name].shape, name
             away = (value - expected[name]).norm() / expected[name].norm().clamp_min(1e-6)
             # Adam makes whole steps even of gradients that are nothing but rounding. Once values are rounded, one of
@@ -244,15 +244,15 @@ def test_a_step_is_that_of_the_cpu(device: str, tiny: PhotographSet, tmp_path: P
 @pytest.mark.parametrize("rate", [0.004, 0.0])
 def test_a_training_is_as_good_as_on_the_cpu(rate: float, device: str, tiny: PhotographSet) -> None:
     settings = varied(TrainSettings(), {**SHORT, "rate.lambda_r": rate})
-    found, expected = trained(tiny, settings, device), trained(tiny, settings, "cpu")
-    assert isinstance(found.scaffold.tables["features"], Pretended)
-    assert found.scaffold.count == pytest.approx(expected.scaffold.count, rel=0.02)
+    actual, expected = trained(tiny, settings, device), trained(tiny, settings, "cpu")
+    assert isinstance(actual.scaffold.tables["features"], Pretended)
+    assert actual.scaffold.count == pytest.approx(expected.scaffold.count, rel=0.02)
     # Anchors have come.
-    assert found.scaffold.count > 400
-    assert found.looks.history[-1]["psnr"] == pytest.approx(expected.looks.history[-1]["psnr"], abs=0.1)
-    results = found.result(), expected.result()
-    said = [report(t, result) for t, result in zip((found, expected), results, strict=True)]
-    assert said[0]["psnr"] == pytest.approx(said[1]["psnr"], abs=0.1)
+    assert actual.scaffold.count > 400
+    assert actual.looks.history[-1]["psnr"] == pytest.approx(expected.looks.history[-1]["psnr"], abs=0.1)
+    results = actual.result(), expected.result()
+    reports = [report(t, result) for t, result in zip((actual, expected), results, strict=True)]
+    assert reports[0]["psnr"] == pytest.approx(reports[1]["psnr"], abs=0.1)
     if not rate:
         return
     files = []

@@ -34,7 +34,7 @@ from refcodec.encoder.quantise import packed  # noqa: E402
 from refcodec.folder.uncompressed import Uncompressed, read_uncompressed, write_uncompressed  # noqa: E402
 from refcodec.folder.write import write_folder  # noqa: E402
 from refcodec.inspect.elements import outline_of  # noqa: E402
-from refcodec.inspect.page.measures import Measures  # noqa: E402
+from refcodec.inspect.page.measures import SceneMeasures  # noqa: E402
 from refcodec.inspect.parts import part_bytes  # noqa: E402
 from refcodec.photographs.photographs import PhotographSet  # noqa: E402
 from refcodec.rendering.view import View  # noqa: E402
@@ -71,8 +71,8 @@ def points(count: int = 2500, seed: int = 0) -> voxelise.PointCloud:
 
 @pytest.fixture(scope="module")
 def cloud() -> AnchorCloud:
-    found = points()
-    return voxelise.voxelise(found.points, found.colours, VOXEL)
+    given = points()
+    return voxelise.voxelise(given.points, given.colours, VOXEL)
 
 
 def fitted(cloud: AnchorCloud, steps: int = STEPS, voxel: float | None = VOXEL) -> fit.FitResult:
@@ -93,23 +93,23 @@ def result(cloud: AnchorCloud) -> fit.FitResult:
 def test_readers(tmp_path):
     text = "# comment\n1 0.5 1.5 -2 10 20 30 0.7 1 2 3 4\n2 1 2 3 255 0 1 0.1\n"
     (tmp_path / "points3D.txt").write_text(text)
-    found = voxelise.read_points(tmp_path / "points3D.txt")
-    assert found.points.tolist() == [[0.5, 1.5, -2.0], [1.0, 2.0, 3.0]]
-    assert found.colours.tolist() == [[10, 20, 30], [255, 0, 1]]
-    np.savez(tmp_path / "a.npz", means3d=found.points, colors=found.colours)
-    assert np.array_equal(voxelise.read_points(tmp_path / "a.npz").points, found.points)
-    np.savez(tmp_path / "b.npz", means3d=found.points)
+    cloud_of = voxelise.read_points(tmp_path / "points3D.txt")
+    assert cloud_of.points.tolist() == [[0.5, 1.5, -2.0], [1.0, 2.0, 3.0]]
+    assert cloud_of.colours.tolist() == [[10, 20, 30], [255, 0, 1]]
+    np.savez(tmp_path / "a.npz", means3d=cloud_of.points, colors=cloud_of.colours)
+    assert np.array_equal(voxelise.read_points(tmp_path / "a.npz").points, cloud_of.points)
+    np.savez(tmp_path / "b.npz", means3d=cloud_of.points)
     with pytest.raises(ValueError, match="colors"):
         voxelise.read_points(tmp_path / "b.npz")
     with pytest.raises(ValueError, match="expected"):
         voxelise.read_points(tmp_path / "c.obj")
-    np.savez(tmp_path / "d.npz", means3d=found.points * np.nan, colors=found.colours)
+    np.savez(tmp_path / "d.npz", means3d=cloud_of.points * np.nan, colors=cloud_of.colours)
     with pytest.raises(ValueError, match="NaN"):
         voxelise.read_points(tmp_path / "d.npz")
-    rows = [struct.pack("<Q3d3BdQ", 7, *p, *c, 0.5, 0) for p, c in zip(found.points, found.colours, strict=True)]
+    rows = [struct.pack("<Q3d3BdQ", 7, *p, *c, 0.5, 0) for p, c in zip(cloud_of.points, cloud_of.colours, strict=True)]
     (tmp_path / "points3D.bin").write_bytes(struct.pack("<Q", len(rows)) + b"".join(rows))
     kinds = [(axis, "f4") for axis in "xyz"] + [(name, "u1") for name in ("red", "green", "blue")]
-    table = np.array([(*p, *c) for p, c in zip(found.points, found.colours, strict=True)], kinds)
+    table = np.array([(*p, *c) for p, c in zip(cloud_of.points, cloud_of.colours, strict=True)], kinds)
     PlyData([PlyElement.describe(table, "vertex")]).write(str(tmp_path / "points.ply"))
     for name in ("points3D.bin", "points.ply"):
         again = read_given(tmp_path / name).cloud
@@ -118,7 +118,7 @@ def test_readers(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("colours", "found"),
+    ("colours", "expected"),
     [
         (np.array([[0.0, 0.5, 1.0]]), [0, 128, 255]),
         (np.array([[0, 1, 255]], np.int64), [0, 1, 255]),
@@ -129,24 +129,24 @@ def test_readers(tmp_path):
         (np.array([[True, False, True]]), None),
     ],
 )
-def test_colours_of_points(colours, found, tmp_path):
+def test_colours_of_points(colours, expected, tmp_path):
     """Floats from 0 to 1 were cut to 0, and larger integers wrapped."""
     np.savez(tmp_path / "a.npz", means3d=np.zeros((1, 3)), colors=colours)
-    if found is None:
+    if expected is None:
         with pytest.raises(ValueError, match="neither integers from 0 to 255 nor floats from 0 to 1"):
             voxelise.read_points(tmp_path / "a.npz")
     else:
-        assert voxelise.read_points(tmp_path / "a.npz").colours.tolist() == [found]
+        assert voxelise.read_points(tmp_path / "a.npz").colours.tolist() == [expected]
 
 
 def test_anchors_are_voxels_and_offsets_reach_points(cloud):
-    found = points()
+    given = points()
     lattice = cloud.positions.astype(np.float64) / VOXEL
     assert np.abs(lattice - np.round(lattice)).max() < 1e-4
     assert len(np.unique(cloud.positions, axis=0)) == len(cloud.positions)
     centres = cloud.positions[:, None] + cloud.offsets * np.exp(cloud.scalings[:, None, :3])
     for k in (0, 9):
-        reached = np.linalg.norm(found.points[:, None] - centres[None, :20, k], axis=2).min(axis=0)
+        reached = np.linalg.norm(given.points[:, None] - centres[None, :20, k], axis=2).min(axis=0)
         assert reached.max() < 1e-4
     assert cloud.masks[:, 0].all()
     assert not cloud.masks.all()
@@ -154,8 +154,8 @@ def test_anchors_are_voxels_and_offsets_reach_points(cloud):
 
 @pytest.mark.parametrize("count", [1, 2, 5])
 def test_tiny_clouds(count):
-    found = points(count)
-    cloud = voxelise.voxelise(found.points, found.colours)
+    given = points(count)
+    cloud = voxelise.voxelise(given.points, given.colours)
     assert cloud.features.shape == (len(cloud.positions), 50)
     assert all(np.isfinite(a).all() for a in (cloud.features, cloud.scalings, cloud.offsets))
     coded_alike(fitted(cloud, 3, None).scene)
@@ -230,9 +230,9 @@ def float_network(layers: list[Layer], inputs: F64) -> F64:
     return inputs
 
 
-def measured(scene: Scene) -> Measures:
+def measured(scene: Scene) -> SceneMeasures:
     """Measures of a scene by the tables of the format."""
-    measures = Measures(scene.dimensions, scene.anchor_count)
+    measures = SceneMeasures(scene.dimensions, scene.anchor_count)
     measures.add(scene)
     measures.finish(scene)
     return measures
@@ -292,9 +292,9 @@ def test_contexts_in_training_are_those_of_the_codec(result):
     scene = result.scene
     contexts = VectorMatrix().contexts(scene.frame, scene.positions, scene.dimensions.plane_size)
     rows = torch.arange(scene.anchor_count)
-    found = contexts.inputs(torch.tensor(scene.planes.astype(np.float32)), rows, True).numpy()
+    inputs = contexts.inputs(torch.tensor(scene.planes.astype(np.float32)), rows, True).numpy()
     wanted = codec.Coding(scene).contexts()
-    assert np.array_equal(found, wanted)
+    assert np.array_equal(inputs, wanted)
 
 
 def test_training_pays(cloud, result):
@@ -403,12 +403,12 @@ def test_the_default_dimensions_of_scaffold_gs(cloud: AnchorCloud, tmp_path: Pat
             assert (weight == kept).all()
             assert (bias == kept_bias).all()
     # Each anchor is there, and each of its values is at most half a step from what it was.
-    found = reconstruct(scene)
-    order, wanted = np.lexsort(found.positions.T), np.lexsort(cloud.positions.T)
+    coded = reconstruct(scene)
+    order, wanted = np.lexsort(coded.positions.T), np.lexsort(cloud.positions.T)
     assert len(order) == int(cloud.masks.any(axis=1).sum()) == len(wanted)
-    np.testing.assert_allclose(found.positions[order], cloud.positions[wanted], atol=1e-3)
+    np.testing.assert_allclose(coded.positions[order], cloud.positions[wanted], atol=1e-3)
     for name, step in (("features", scene.base_step[0]), ("scalings", scene.base_step[1])):
-        away = getattr(found, name)[order] - getattr(values, name)[wanted]
+        away = getattr(coded, name)[order] - getattr(values, name)[wanted]
         assert np.abs(away).max() <= 0.501 * step
 
 

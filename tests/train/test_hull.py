@@ -51,12 +51,12 @@ def test_first_anchors_of_random_points(write_ball: Ball) -> None:
     settings = TrainSettings()
     for mode, least in (("RGBA", 0.95), ("RGB", 0.0)):
         photographs = write_ball(mode, mode)
-        found = first_anchors(photographs, settings)
-        places = found.units.origin + found.lattice * (found.units.cell * found.units.length)
+        anchors = first_anchors(photographs, settings)
+        places = anchors.units.origin + anchors.lattice * (anchors.units.cell * anchors.units.length)
         inside = (np.linalg.norm(places - [0.2, 0, 0], axis=1) < 1.3 * RADIUS).mean()
         assert inside >= least
-        assert 0.5 * settings.start.least < len(found.lattice) < 1.5 * settings.start.least
-        edges = np.diff(np.unique(found.lattice[:, 0]))
+        assert 0.5 * settings.start.least < len(anchors.lattice) < 1.5 * settings.start.least
+        edges = np.diff(np.unique(anchors.lattice[:, 0]))
         assert (edges % settings.start.random_cells == 0).all()
 
 
@@ -84,9 +84,9 @@ def test_more_pixels_ask_for_more_random_points(
 
     monkeypatch.setattr(start, "carved", noted)
     assert asked_for(photographs, settings) == asked
-    found = first_anchors(photographs, settings)
+    anchors = first_anchors(photographs, settings)
     assert wanted == [points]
-    assert 0.5 * (asked or points) < len(found.lattice) < 1.5 * (asked or points)
+    assert 0.5 * (asked or points) < len(anchors.lattice) < 1.5 * (asked or points)
     # Points that are given cannot be as many as are wanted.
     given = asked_for(replace(photographs, random=False), settings)
     assert given == (settings.start.anchors or settings.start.least)

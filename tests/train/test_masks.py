@@ -67,9 +67,9 @@ def test_anchors_without_a_kept_offset_go(photographs: PhotographSet, small: Tra
     assert torch.equal(torch.from_numpy(scaffold.lattice), lattice)
     assert rate.masks.total == count
     # They had no bits, and the contexts of the others are what they were.
-    found = rate.bits(rate.masks.decided())
-    assert torch.allclose(found[0], bits[0], rtol=0.02)
-    assert found[1] == bits[1]
+    later = rate.bits(rate.masks.decided())
+    assert torch.allclose(later[0], bits[0], rtol=0.02)
+    assert later[1] == bits[1]
     # L_rate, and the part of L_m that the anchors left have, do not change.
     after = losses(trainer)
     assert after[0] == pytest.approx(before[0], rel=1e-3)

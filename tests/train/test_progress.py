@@ -116,9 +116,9 @@ def test_a_command_that_extends(
     assert other.endswith("is of other settings; size is 60, not 50\n")
     first = log.read_bytes().splitlines()
     assert main([*words, "--steps", "15", "--resume"]) == 0
-    said = capsys.readouterr()
-    assert "from step 12 on" in said.err
-    assert "15 steps" in said.out
+    printed = capsys.readouterr()
+    assert "from step 12 on" in printed.err
+    assert "15 steps" in printed.out
     report = json.loads((scene / "training.json").read_text())
     assert (report["steps"], report["settings"]["steps"], report["schedule"]) == (15, 15, {"first": 12, "base": 1.0})
     assert not state_path(scene).exists()
@@ -224,12 +224,12 @@ def test_first_and_last_lines(examples: Path, tmp_path: Path, capsys: pytest.Cap
 
     assert main(["train", source, "-o", str(scene), *TINY, "--steps", "6", "--log", str(log)]) == 0
     assert logged()
-    said = capsys.readouterr()
+    printed = capsys.readouterr()
     words = ["65 photographs of 60 x 45", "10 held out", " points, background 0,0,0", " anchors, 6 steps, lambda 0.004"]
-    first = said.err.splitlines()[0]
+    first = printed.err.splitlines()[0]
     assert first.startswith("train: ")
     assert all(word in first for word in words)
-    report, lines = json.loads((scene / "training.json").read_text()), said.out.splitlines()
+    report, lines = json.loads((scene / "training.json").read_text()), printed.out.splitlines()
     assert lines[0].startswith(f"{scene}: {report['anchors']} anchors, 6 steps, ")
     mean = sum(report["quantised"].values()) / len(report["quantised"])
     size = sum(report["bytes"][part] for part in PARTS) + UNCOUNTED
@@ -238,11 +238,11 @@ def test_first_and_last_lines(examples: Path, tmp_path: Path, capsys: pytest.Cap
     words = [*TINY, "--steps", "3", "--lambda", "0", "--holdout", "0", "--log", str(log)]
     assert main(["train", source, "-o", str(scene), *words]) == 0
     assert logged()
-    said = capsys.readouterr()
-    assert "75 photographs of 60 x 45, none held out, " in said.err
-    assert "lambda 0: an uncompressed scene" in said.err
+    printed = capsys.readouterr()
+    assert "75 photographs of 60 x 45, none held out, " in printed.err
+    assert "lambda 0: an uncompressed scene" in printed.err
     sizes = json.loads((scene / "training.json").read_text())["bytes"]
-    assert said.out.splitlines()[1:] == [
+    assert printed.out.splitlines()[1:] == [
         f"no photographs are held out; {sum(sizes.values()) / 1000:.0f} KB uncompressed",
         f"next: refcodec eval '{scene}' {source}",
     ]
@@ -279,9 +279,9 @@ def test_a_log_that_cannot_be_written(tmp_path: Path, capsys: pytest.CaptureFixt
     logging, row = Logging(Table(tmp_path / "gone" / "log.csv"), []), dict.fromkeys((*COLUMNS, "phase"), 1)
     for count in (1, 1, 2, 3):
         logging([row] * count)
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1
-    assert "training continues" in said
+    message = capsys.readouterr().err
+    assert message.count("\n") == 1
+    assert "training continues" in message
     (tmp_path / "gone").unlink()
     logging([row] * 4)
     assert len((tmp_path / "gone" / "log.csv").read_text().splitlines()) == 5

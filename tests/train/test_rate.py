@@ -12,7 +12,7 @@ from refcodec.bitstream.scene import Scene
 from refcodec.bitstream.weights import to_grid
 from refcodec.encoder.quantise import packed
 from refcodec.inspect.elements import outline_of
-from refcodec.inspect.page.measures import Measures
+from refcodec.inspect.page.measures import SceneMeasures
 from refcodec.inspect.parts import part_bytes
 from refcodec.photographs.photographs import PhotographSet
 from refcodec.rendering.view import View
@@ -54,7 +54,7 @@ def test_the_rate_has_gradients(photographs: PhotographSet, small: TrainSettings
 def test_bytes_are_what_was_estimated(trained: Trainer, coded: Scene) -> None:
     """Code lengths as training counts them, against the coder's own models of the file's symbols: integers in both."""
     estimate = estimate_of(trained)
-    measures = Measures(coded.dimensions, coded.anchor_count)
+    measures = SceneMeasures(coded.dimensions, coded.anchor_count)
     measures.add(coded)
     measures.finish(coded)
     assert estimate["attributes"] * 8 == pytest.approx(measures.bits["attributes"], rel=0.01)
@@ -97,8 +97,8 @@ def test_weights_end_on_grids(trained: Trainer, coded: Scene) -> None:
             # A few weights grow after the grid was chosen.
             assert np.abs(grid.weight).max() < 4096, (name, number)
     assert trained.scaffold.networks.gridded
-    for name, found in trained.scaffold.networks.layers().items():
-        for (weight, bias), (wanted, wanted_bias) in zip(found, coded.networks[name], strict=True):
+    for name, drawn in trained.scaffold.networks.layers().items():
+        for (weight, bias), (wanted, wanted_bias) in zip(drawn, coded.networks[name], strict=True):
             assert (weight == wanted).all()
             assert (bias == wanted_bias).all()
 

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from refcodec.bitstream.tables import SCALE_MIN
-from refcodec.train.cpu.residues import Shown, Symbols
+from refcodec.train.cpu.residues import Symbols, WithResidues
 from refcodec.train.rate_model.bits import TorchBits, gauss_bits, laplace_bits
 from refcodec.train.rate_model.folded import FoldedMlp
 from refcodec.train.rate_model.hyperprior import PlaneSamples, VectorMatrix, plane_neighbours
@@ -54,7 +54,7 @@ def test_residues(seed: int | None) -> None:
     steps = (torch.rand(40, 3, generator=draw) + 0.1).requires_grad_()
     size = torch.cat([steps[:, i : i + 1].expand_as(v) for i, v in enumerate(values)], dim=1).double()
     given = torch.cat(values, dim=1).double()
-    shown, symbols = torch.cat(Shown.apply(steps, seed, *values), dim=1), Symbols.apply(steps, seed, *values)
+    shown, symbols = torch.cat(WithResidues.apply(steps, seed, *values), dim=1), Symbols.apply(steps, seed, *values)
     if seed is None:
         residue = (torch.floor(given / size + 0.5) - given / size).detach()
         assert (symbols == torch.round(symbols)).all()
@@ -147,14 +147,14 @@ def test_bits_of_attributes(rounding: bool) -> None:
     hidden = model.activations(inputs).detach()
     small = model.hyper.outputs(hidden, slice(2 * PAPER.width - 10, 2 * PAPER.width)) <= SCALE_MIN
     assert 0.1 < float(small.float().mean()) < 0.9
-    weights, found = torch.rand(60, 3, generator=draw), []
+    weights, both = torch.rand(60, 3, generator=draw), []
     for kind, network in ((torch.float32, model), (torch.float64, copy.deepcopy(model).double())):
         leaves = [v.to(kind).requires_grad_() for v in (hidden, symbols, kept)]
         bits = network.attribute_bits(*leaves)
         trained = [p for name, p in network.named_parameters() if name.startswith(("carm", "hyper.weights.1"))]
-        found.append([bits, *gradients(bits, weights, [*leaves, *trained])])
-    assert float(found[0][0].detach()[:5].abs().max()) == 0
-    agree(*found, 1e-4)
+        both.append([bits, *gradients(bits, weights, [*leaves, *trained])])
+    assert float(both[0][0].detach()[:5].abs().max()) == 0
+    agree(*both, 1e-4)
 
 
 @ROUNDED
@@ -176,9 +176,9 @@ def test_bits_of_planes(rounding: bool, size: int) -> None:
     model.set_gridded(rounding)
     scales = model.sarm(plane_neighbours(symbols))[:, 1]
     assert 0.1 < float((scales <= SCALE_MIN).float().mean()) < 0.9
-    found = []
+    both = []
     for kind, network in ((torch.float32, model), (torch.float64, copy.deepcopy(model).double())):
         planes = symbols.to(kind).requires_grad_()
         bits = network.plane_bits(planes)
-        found.append([bits, *torch.autograd.grad(0.3 * bits, [planes, *network.sarm.parameters()])])
-    agree(*found, 1e-4)
+        both.append([bits, *torch.autograd.grad(0.3 * bits, [planes, *network.sarm.parameters()])])
+    agree(*both, 1e-4)

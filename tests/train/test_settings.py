@@ -38,8 +38,8 @@ def test_the_text_has_these_constants() -> None:
     assert len(names) == len(set(names)) == 21
     assert [f"phases.{phase.name}.begin" in names for phase in TrainSettings().phases] == [False] + 7 * [True]
     for cell, value in rows:
-        found = tuple(setting(name) for name in re.findall(r"`([\w.]+)`", cell))
-        assert (found if len(found) > 1 else found[0]) == eval(value, {})
+        values = tuple(setting(name) for name in re.findall(r"`([\w.]+)`", cell))
+        assert (values if len(values) > 1 else values[0]) == eval(value, {})
     assert setting("rate.plane_period") == 4
     assert "every fourth step" in " ".join(section.split())
     fitted = FitSettings()
@@ -50,19 +50,19 @@ def test_the_text_has_these_constants() -> None:
 
 def documented(group: Any, name: str = "") -> list[str]:
     """The names of all settings; fails where one has no documentation."""
-    found = []
+    paths = []
     for entry in fields(group):
         value, path = getattr(group, entry.name), f"{name}{entry.name}"
         if entry.metadata:
             assert entry.metadata["meaning"], path
             assert entry.metadata["source"], path
-            found.append(path)
+            paths.append(path)
         elif is_dataclass(value):
             assert type(value).__doc__, path
-            found += documented(value, path + ".")
+            paths += documented(value, path + ".")
         else:
             assert path == "phases"
-    return found
+    return paths
 
 
 @pytest.mark.parametrize("settings", [TrainSettings(), FitSettings()], ids=["train", "fit"])
@@ -174,13 +174,13 @@ def test_wrong_files(tmp_path: Path, refused: Callable[..., str]) -> None:
 def test_phases_say_what_parts_do() -> None:
     phases = (Phase("a", 0.0, {"masks": "on"}), Phase("b", 0.5, {"rate": "on"}), Phase("c", 0.75, {"masks": "off"}))
     clock = Clock(phases, 8)
-    found = []
+    modes = []
     for done in range(9):
         clock.done = done
-        found.append((clock.mode("masks"), clock.mode("rate"), clock.mode("growth"), clock.since("rate")))
-    assert found[3] == ("on", "off", "off", 0.0)
-    assert found[4] == ("on", "on", "off", 0.0)
-    assert found[6] == ("off", "on", "off", 0.5)
-    assert found[8] == ("off", "on", "off", 1.0)
+        modes.append((clock.mode("masks"), clock.mode("rate"), clock.mode("growth"), clock.since("rate")))
+    assert modes[3] == ("on", "off", "off", 0.0)
+    assert modes[4] == ("on", "on", "off", 0.0)
+    assert modes[6] == ("off", "on", "off", 0.5)
+    assert modes[8] == ("off", "on", "off", 1.0)
     assert clock.mode("masks", 5) == "on"
     assert clock.begin("b") == 0.5

@@ -63,10 +63,10 @@ class Kept:
 
     def write(self, tensors: dict[str, Tensor], values: dict[str, Any], **notes: str) -> None:
         """Writes a state with a right checksum."""
-        found = {**self.notes, "values": json.dumps(values), **notes}
+        metadata = {**self.notes, "values": json.dumps(values), **notes}
         tensors = {name: value.clone().contiguous() for name, value in tensors.items()}
-        found["sha256"] = state._checksum(found, tensors)
-        save_file(tensors, self.path, found)
+        metadata["sha256"] = state._checksum(metadata, tensors)
+        save_file(tensors, self.path, metadata)
 
 
 @pytest.fixture(scope="module")
@@ -106,9 +106,9 @@ def test_changed_bytes_are_refused_or_mean_the_same(kept: Kept, data: st.DataObj
     end = data.draw(st.sampled_from([at, at + 1, at + 8, len(kept.data)]))
     kept.path.write_bytes(kept.data[:at] + data.draw(st.binary(max_size=8)) + kept.data[end:])
     with contextlib.suppress(StateError):
-        before, found = state._read(kept.path)
+        before, stored = state._read(kept.path)
         assert before == json.loads(kept.notes["of"])
-        assert same(dict(found._values), {**kept.tensors, **kept.values})
+        assert same(dict(stored._values), {**kept.tensors, **kept.values})
 
 
 JSON = st.recursive(
@@ -146,13 +146,13 @@ def test_what_is_checked_does_not_rest_on_the_checksum(kept: Kept, data: st.Data
     tensors, values = dict(kept.tensors), dict(kept.values)
     name = data.draw(st.sampled_from(sorted({*tensors, *values})))
     kind = data.draw(st.sampled_from(["remove", "rename", "json", "change"]))
-    found: dict[str, Any] = tensors if name in tensors else values
+    chosen: dict[str, Any] = tensors if name in tensors else values
     if kind == "remove" or (kind == "json" and name in tensors):
-        del found[name]
+        del chosen[name]
         if kind == "json":
             values[name] = data.draw(JSON)
     elif kind == "rename":
-        found[data.draw(st.sampled_from(["", "x", "scaffold/x", "rate/model.x", "é"]))] = found.pop(name)
+        chosen[data.draw(st.sampled_from(["", "x", "scaffold/x", "rate/model.x", "é"]))] = chosen.pop(name)
     elif name in tensors:
         tensors[name] = changed(tensors[name], data)
     else:
@@ -246,9 +246,9 @@ def test_the_last_good_state_is_kept(kept: Kept, tmp_path: Path, capsys: pytest.
     keep()
     keep()
     assert path.read_bytes() == before
-    said = capsys.readouterr().err.splitlines()
-    assert len(said) == 1
-    assert "the one before is kept" in said[0]
+    messages = capsys.readouterr().err.splitlines()
+    assert len(messages) == 1
+    assert "the one before is kept" in messages[0]
     # It is tried again.
     (tmp_path / "state.new").rmdir()
     keep()
@@ -309,18 +309,18 @@ def test_a_scene_that_cannot_be_written_gets_a_second_place(
     monkeypatch.setattr("tempfile.tempdir", str(other))
     monkeypatch.setattr(command, "write_folder", failing(lambda folder: folder == output))
     assert main(words(examples, output)) == 64
-    said = faults(capsys)
-    assert len(said) == 1
-    second = Path(said[0].rpartition("; it is in ")[2])
+    messages = faults(capsys)
+    assert len(messages) == 1
+    second = Path(messages[0].rpartition("; it is in ")[2])
     assert second.parent.parent == other
     assert read_folder(second).anchor_count > 100
     assert (second / "training.json").is_file()
     # Without any place the state goes on.
     monkeypatch.setattr(command, "write_folder", failing(lambda folder: True))
     assert main([*words(examples, output), "--resume"]) == 64
-    said = faults(capsys)
-    assert len(said) == 1
-    assert f"--resume to continue from {state_path(output)}" in said[0]
+    messages = faults(capsys)
+    assert len(messages) == 1
+    assert f"--resume to continue from {state_path(output)}" in messages[0]
     monkeypatch.setattr(command, "write_folder", write_folder)
     assert main([*words(examples, output), "--resume"]) == 0
     assert read_folder(output).anchor_count > 100

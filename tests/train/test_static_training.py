@@ -33,9 +33,9 @@ def static(photographs: PhotographSet, small: TrainSettings) -> Trainer:
 
 @pytest.fixture(scope="module")
 def scene(static: Trainer) -> Scene:
-    found = static.result()
-    assert isinstance(found, Scene)
-    return parse(emit(pack_weights(found))).scene
+    result = static.result()
+    assert isinstance(result, Scene)
+    return parse(emit(pack_weights(result))).scene
 
 
 def test_the_networks_learn(static: Trainer) -> None:

@@ -27,9 +27,9 @@ def test_command(examples: Path, tmp_path: Path, capsys: pytest.CaptureFixture[s
     source, scene, file = str(examples / "caliterra"), tmp_path / "scene", tmp_path / "scene.c3gs"
     words = ["--steps", "30", "--size", "64", "--set", "growth.most=6000", "--progress", "--meta", "title=Site"]
     assert main(["train", source, "-o", str(scene), *words]) == 0
-    said = capsys.readouterr()
-    assert "30 steps" in said.out
-    assert "step 30 of 30" in said.err
+    printed = capsys.readouterr()
+    assert "30 steps" in printed.out
+    assert "step 30 of 30" in printed.err
     assert not state_path(scene).exists()
     assert main(["encode", str(scene), "-o", str(file)]) == 0
     coded = parse(file.read_bytes()).scene
@@ -55,11 +55,11 @@ def test_command_without_rate(examples: Path, tmp_path: Path, capsys: pytest.Cap
     assert main(["train", source, "-o", str(folder), "--lambda", "0", "--steps", "20", "--size", "64"]) == 0
     scene = read_uncompressed(folder)
     assert main(["eval", str(folder), source, "--size", "64", "--json"]) == 0
-    found = json.loads(capsys.readouterr().out.split("\n", 3)[3])
+    evaluation = json.loads(capsys.readouterr().out.split("\n", 3)[3])
     # Six scalings and ten offsets, and networks with one hidden layer of 50 units.
     assert (scene.render.up_axis, len(scene.cameras)) == (3, 16)
     features = scene.values.features.shape[1]
-    assert found["parts"] == {
+    assert evaluation["parts"] == {
         "positions": 12 * scene.anchor_count,
         "attributes": 4 * (features + 36) * scene.anchor_count,
         "weights": 4 * (3 * 50 * (features + 5) + 51 * 110),

@@ -38,14 +38,14 @@ def times(photographs: PhotographSet, factor: float) -> PhotographSet:
 
 
 def test_what_a_training_says(trained: Trainer, coded: Scene, small: TrainSettings) -> None:
-    said = report(trained, coded)
-    assert len(said["quantised"]) == len(trained.photographs.test)
-    assert json.loads(json.dumps(said)) == said
-    assert said["steps"] == small.steps
+    facts = report(trained, coded)
+    assert len(facts["quantised"]) == len(trained.photographs.test)
+    assert json.loads(json.dumps(facts)) == facts
+    assert facts["steps"] == small.steps
     # All settings, by which it can be trained again.
-    assert varied(TrainSettings(), said["settings"]) == small
-    assert len(said["history"]) >= small.looks.count
-    assert said["history"][-1]["psnr"] > said["history"][0]["psnr"] + 1
+    assert varied(TrainSettings(), facts["settings"]) == small
+    assert len(facts["history"]) >= small.looks.count
+    assert facts["history"][-1]["psnr"] > facts["history"][0]["psnr"] + 1
 
 
 DIGEST = """
@@ -57,9 +57,9 @@ from refcodec.train.command import train
 from refcodec.train.settings import TrainSettings
 from refcodec.train.settings_file import varied
 settings = varied(TrainSettings(), {"steps": 60, "start.anchors": 800, "growth.most": 900})
-found = read_photographs(sys.argv[1], (100, 75))
+photographs = read_photographs(sys.argv[1], (100, 75))
 threads = int(sys.argv[3])
-done = train(found, settings, Path(sys.argv[2]), threads=threads, device="cpu", resume=False, progress=False)
+done = train(photographs, settings, Path(sys.argv[2]), threads=threads, device="cpu", resume=False, progress=False)
 print(hashlib.sha256(emit(done.trainer.result())).hexdigest())
 """
 

@@ -51,8 +51,8 @@ def _ask(server: Server, path: str, method: str = "GET", **headers: str) -> tupl
 
 
 def test_the_file(server: Server) -> None:
-    response, found = _ask(server, "/scene.c3gs")
-    assert (response.status, found) == (200, CONTENT)
+    response, body = _ask(server, "/scene.c3gs")
+    assert (response.status, body) == (200, CONTENT)
     head, nothing = _ask(server, "/scene.c3gs", "HEAD")
     assert (head.status, head.getheader("Content-Length"), nothing) == (200, "256", b"")
 
@@ -104,9 +104,9 @@ def viewed(trained: Path, tmp_path: Path) -> Iterator[tuple[str, Path, subproces
     command = [sys.executable, "-c", COMMAND, "view", str(file), "--no-browser"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
-        found = re.match(r"(http://127\.0\.0\.1:\d+/) shows ", process.stdout.readline())
-        assert found is not None
-        yield found[1], file, process
+        match = re.match(r"(http://127\.0\.0\.1:\d+/) shows ", process.stdout.readline())
+        assert match is not None
+        yield match[1], file, process
         process.kill()
 
 
@@ -136,9 +136,9 @@ def test_a_file_is_chosen(browser: Chromium, trained: Path, viewed: tuple[str, P
     """Another file takes the place of the first one."""
     browser.open(viewed[0])
     browser.run("c3gs.settle()")
-    found = browser.ask("Runtime.evaluate", {"expression": "document.getElementById('file')"})
+    chooser = browser.ask("Runtime.evaluate", {"expression": "document.getElementById('file')"})
     other = trained.with_name("empty.c3gs")
-    given = {"files": [str(other)], "objectId": found["result"]["objectId"]}
+    given = {"files": [str(other)], "objectId": chooser["result"]["objectId"]}
     browser.ask("DOM.setFileInputFiles", given)
     browser.until("c3gs.header?.anchor_count === 0")
     browser.run("c3gs.settle()")
@@ -177,24 +177,24 @@ def test_what_view_serves(
 
 def test_a_browser_that_waits_for_the_page(trained: Path, tmp_path: Path) -> None:
     """Browsers of the terminal let go of the command only when they end."""
-    program, found = tmp_path / "browser.py", tmp_path / "page.html"
+    program, fetched = tmp_path / "browser.py", tmp_path / "page.html"
     program.write_text(
         "import sys, urllib.request\n"
         "page = urllib.request.urlopen(sys.argv[1], timeout=60).read()\n"
-        f"open({str(found)!r}, 'wb').write(page)\n"
+        f"open({str(fetched)!r}, 'wb').write(page)\n"
     )
     environment = os.environ | {"BROWSER": f"{sys.executable} {program} %s"}
     command = [sys.executable, "-c", COMMAND, "view", str(trained)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, env=environment, text=True) as process:
         try:
             end = time.monotonic() + 60
-            while not (found.exists() and found.stat().st_size) and time.monotonic() < end:
+            while not (fetched.exists() and fetched.stat().st_size) and time.monotonic() < end:
                 time.sleep(0.05)
             process.send_signal(signal.SIGINT)
             assert process.wait(20) == 0
         finally:
             process.kill()
-    assert found.read_bytes().startswith(b"<!doctype html>")
+    assert fetched.read_bytes().startswith(b"<!doctype html>")
 
 
 def test_export(trained: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -227,7 +227,7 @@ def test_export_of_a_bad_file(trained: Path, tmp_path: Path, capsys: pytest.Capt
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (["view", "nothing.c3gs"], "nothing.c3gs: No such file"),
         (["view", "FILE", "--port", "70000"], "must be a whole number from 0 to 65535"),
@@ -235,13 +235,13 @@ def test_export_of_a_bad_file(trained: Path, tmp_path: Path, capsys: pytest.Capt
         (["view", "FILE", "--max-anchors", "100"], "--max-anchors"),
     ],
 )
-def test_wrong_usage(words: list[str], said: str, trained: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_wrong_usage(words: list[str], message: str, trained: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([str(trained) if word == "FILE" else word for word in words]) == 64
-    assert said in capsys.readouterr().err
+    assert message in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ('import * as a from "./a.js";\n', "import"),
         ("export default 1;\n", "export"),
@@ -249,8 +249,8 @@ def test_wrong_usage(words: list[str], said: str, trained: Path, capsys: pytest.
         ('import { a } from "./module.js";\n', "itself"),
     ],
 )
-def test_forms_that_no_bundle_has(text: str, said: str, tmp_path: Path) -> None:
+def test_forms_that_no_bundle_has(text: str, message: str, tmp_path: Path) -> None:
     (tmp_path / "module.js").write_text(text)
     (tmp_path / "other.js").write_text("export const a = 1;\n")
-    with pytest.raises(ValueError, match=said):
+    with pytest.raises(ValueError, match=message):
         bundle(tmp_path / "module.js")

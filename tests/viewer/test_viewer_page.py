@@ -78,8 +78,8 @@ def test_the_page_draws_what_render_draws(browser: Chromium, exported: tuple[Pat
     compared = 0
     for name in cameras[:3]:
         at = f"c3gs.cameras.find(({{ name }}) => name === {json.dumps(name)})"
-        found = browser.run(f"c3gs.picture({at})")
-        made = np.asarray(Image.open(io.BytesIO(base64.b64decode(found.partition(",")[2]))).convert("RGB"), np.float64)
+        picture = browser.run(f"c3gs.picture({at})").partition(",")[2]
+        made = np.asarray(Image.open(io.BytesIO(base64.b64decode(picture))).convert("RGB"), np.float64)
         right = np.asarray(Image.open(images[Path(name).stem]), np.float64)
         assert made.shape == right.shape
         assert right.std() > 10
@@ -156,12 +156,12 @@ def test_the_rule_for_texts(browser: Chromium) -> None:
     script = bundle(ROOT / "refcodec" / "viewer" / "text.js")
     browser.open("about:blank")
     ranges = "Array.from({ length: 0x110000 }, (_, code) => String.fromCodePoint(code))"
-    found = browser.run(
+    shown = browser.run(
         f"(() => {{ {script}; return JSON.stringify({ranges}.map((c) => module_viewer_text.printable(c, 99))); }})()"
     )
     differing = [
         code
-        for code, text in enumerate(json.loads(found))
+        for code, text in enumerate(json.loads(shown))
         if unicodedata.ucd_3_2_0.category(chr(code)) != "Cn" and text != printable(chr(code))
     ]
     assert differing == []
@@ -179,10 +179,10 @@ def test_a_damaged_file(browser: Chromium, trained: Path, tmp_path: Path) -> Non
     _open(browser, _write(tmp_path, bytes(data)))
     with pytest.raises(BrowserError, match=str(verdict["code"])):
         browser.run("c3gs.settle()")
-    said = _text(browser, "#error")
-    assert "damaged" in said
+    message = _text(browser, "#error")
+    assert "damaged" in message
     for part in (str(verdict["code"]), verdict["name"], f"SPEC.md {verdict['clause']}", f"byte {verdict['offset']}"):
-        assert part in said
+        assert part in message
     assert browser.run("c3gs.drawing.count") == 0
     assert browser.said == []
 
@@ -191,12 +191,12 @@ def test_a_file_that_needs_too_much_memory(browser: Chromium, tmp_path: Path) ->
     """Memory of Gaussians counts before it is taken: this file has 5 MB and fewer anchors than the page allows."""
     count, d = 340_000, replace(PLANELESS, offset_count=16, render_width=128)
     scene = random_scene(1, 0, d, gain=0, profile=MAIN, chunk_size=1 << 14)
-    found = scene.attributes
+    few = scene.attributes
 
     def rows(array: np.ndarray, value: int = 0) -> np.ndarray:
         return np.full((count, *array.shape[1:]), value, array.dtype)
 
-    attributes = Attributes(rows(found.features), rows(found.scalings), rows(found.offsets), rows(found.steps, 32))
+    attributes = Attributes(rows(few.features), rows(few.scalings), rows(few.offsets), rows(few.steps, 32))
     mask_model = np.full_like(scene.mask_model, (1 << 14) - 1)
     positions, masks = rows(scene.positions), rows(scene.masks, 1)
     scene = replace(scene, positions=positions, masks=masks, mask_model=mask_model, attributes=attributes)
@@ -209,7 +209,7 @@ def test_a_file_that_needs_too_much_memory(browser: Chromium, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize(
-    ("data", "said"),
+    ("data", "parts"),
     [
         (b"ply\nformat ascii 1.0\n", ["not a C3GS file", "looks like a PLY file", "refcodec convert", "error 102"]),
         (b"\x1f\x8b" + bytes(99), ["not a C3GS file", "looks like an SPZ file", "refcodec convert"]),
@@ -220,7 +220,7 @@ def test_a_file_that_needs_too_much_memory(browser: Chromium, tmp_path: Path) ->
         (b"\x89C3GS\r\n\x1a\0\0", ["incomplete", "download it again", "error 101"]),
     ],
 )
-def test_files_of_other_kinds(data: bytes, said: list[str], browser: Chromium, tmp_path: Path) -> None:
+def test_files_of_other_kinds(data: bytes, parts: list[str], browser: Chromium, tmp_path: Path) -> None:
     """A file that is none of C3GS is not called damaged, whether it is chosen or lies in the page."""
     if data:
         _open(browser, _write(tmp_path, data))
@@ -230,7 +230,7 @@ def test_files_of_other_kinds(data: bytes, said: list[str], browser: Chromium, t
         browser.run("c3gs.open({ input: new Blob([]), name: 'none' }).then(() => {})")
     browser.until("!document.getElementById('error').hidden")
     text = _text(browser, "#error")
-    assert all(words in text for words in said)
+    assert all(words in text for words in parts)
     assert "damaged" not in text
     # The next file can be opened right there.
     assert "Open another file" in text
@@ -309,15 +309,15 @@ def test_a_double_click(browser: Chromium, trained: Path, tmp_path: Path) -> Non
             at = {"type": kind, "x": 200, "y": 160, "button": "left", "clickCount": count}
             browser.ask("Input.dispatchMouseEvent", at)
     browser.until("c3gs.camera === undefined")
-    found = browser.run("c3gs.pose")
+    end = browser.run("c3gs.pose")
     lens = browser.run("c3gs.lens")
-    assert found["centre"] == start["centre"]
-    before, after = (np.array(pose["rotation"]).reshape(3, 3) for pose in (start, found))
+    assert end["centre"] == start["centre"]
+    before, after = (np.array(pose["rotation"]).reshape(3, 3) for pose in (start, end))
     assert np.allclose(after @ after.T, np.eye(3), atol=1e-9)
     # The direction of the click, in the frame of the camera of before.
     scale = max(640 / lens["width"], 480 / lens["height"])
     middle = before @ after[2]
-    assert 0.01 < found["pivot"] < 1000
+    assert 0.01 < end["pivot"] < 1000
     assert middle[0] < 0
     assert middle[1] < 0
     assert abs(middle[0] / middle[2] * lens["focal"][0] * scale - (200 - 320)) < 40

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ...bitstream.frame import Frame
 from ...pages.plots import F64, Plot, bars
-from .measures import BITS_MAX, Measures
+from .measures import BITS_MAX, SceneMeasures
 from .pictures import SIDE, AnchorView, drawn
 
 # The share of anchors beyond either end of the scale of colours.
@@ -22,7 +22,7 @@ _BARS = 48
 
 
 def _quantile(counts: NDArray[np.int64], part: float) -> int:
-    """Returns the number of bits below which a share of the anchors lies. counts: Measures.anchor_bits."""
+    """Returns the number of bits below which a share of the anchors lies. counts: SceneMeasures.anchor_bits."""
     return int(np.searchsorted(np.cumsum(counts), part * counts.sum()))
 
 
@@ -55,7 +55,7 @@ def _views(positions: F64, frame: Frame | None) -> list[AnchorView]:
     return views
 
 
-def bits(measures: Measures) -> dict[str, Any]:
+def bits(measures: SceneMeasures) -> dict[str, Any]:
     """Returns the views, coloured by bits, and a plot of the bits. It is empty without anchors.
 
     The views are (PNG, name, number of anchors outside) each.

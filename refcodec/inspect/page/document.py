@@ -13,12 +13,12 @@ from ...files.outputs import Kind
 from ...pages.environment import render
 from ..elements import Bytes, outline_of
 from . import anchors, file_map, pictures
-from .measures import Measures
+from .measures import SceneMeasures
 
 PAGE = Kind("a page that inspect wrote", re.compile(rb"<!(?i:doctype) html>\n<!-- refcodec inspect: a C3GS file -->"))
 
 
-def page(data: Bytes, name: str, facts: Mapping[str, Any], measures: Measures) -> bytes:
+def page(data: Bytes, name: str, facts: Mapping[str, Any], measures: SceneMeasures) -> bytes:
     """Returns the page of an accepted file. The same arguments give the same bytes.
 
     Args:

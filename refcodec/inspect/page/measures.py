@@ -175,7 +175,7 @@ class Sample:
         return np.concatenate(positions), np.concatenate(bits)
 
 
-class Measures:
+class SceneMeasures:
     """The measures of a scene. `add` takes its anchors in order, and then `finish` the scene.
 
     tallies: of the scalings, the offsets, each slice of the features, and the planes, by name.
@@ -251,13 +251,13 @@ class Measures:
         codes = []
         for chunk, form in zip(scene.chunks, forms, strict=True):
             positions = scene.positions[chunk.start : chunk.stop]
-            found = None
+            tree = None
             if form == PACKED and scene.position_model is not None:
-                found = chunk_codes(positions, scene.position_model.cell_shift)
-            if found is None:
+                tree = chunk_codes(positions, scene.position_model.cell_shift)
+            if tree is None:
                 self.raw_positions += 2 * positions.size
             else:
-                codes.append(found)
+                codes.append(tree)
         if codes and scene.position_model is not None:
             meter = Meter()
             counts = [len(code) for code in codes]

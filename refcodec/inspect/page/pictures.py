@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...bitstream.planes import PLANES, assemble_planes
-from .measures import F64, Measures
+from .measures import F64, SceneMeasures
 
 Bytes2 = NDArray[np.uint8]
 
@@ -102,7 +102,7 @@ class PlanePictures:
     pictures: list[bytes]
 
 
-def planes(measures: Measures) -> list[PlanePictures]:
+def planes(measures: SceneMeasures) -> list[PlanePictures]:
     """Returns both planes, or nothing if the file has none."""
     assert measures.scene is not None
     channels = measures.scene.dimensions.plane_channels

@@ -98,8 +98,8 @@ def _array(value: Tensor) -> F32:
     return array
 
 
-class Shown(torch.autograd.Function):
-    """Shown.apply(steps, seed, *values) -> a tensor for each: values + residue * step, which the image shows.
+class WithResidues(torch.autograd.Function):
+    """WithResidues.apply(steps, seed, *values) -> a tensor for each: values + residue * step, which the image shows.
 
     The residue is rounding's, or noise in [-0.5, 0.5). It has no gradient: a value has the gradient of the result, a
     step has it times the residue.
@@ -128,7 +128,7 @@ class Shown(torch.autograd.Function):
 class Symbols(torch.autograd.Function):
     """Symbols.apply(steps, seed, *values) -> float32 [n, sum of w]: values / step + residue, of which bits are counted.
 
-    The arguments are those of Shown.
+    The arguments are those of WithResidues.
     """
 
     @staticmethod

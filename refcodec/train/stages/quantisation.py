@@ -8,7 +8,7 @@ from torch import Tensor
 
 from ...bitstream.attributes import KINDS
 from ...encoder.quantise import varying
-from ..cpu.residues import Shown, Symbols
+from ..cpu.residues import Symbols, WithResidues
 from ..device import has_kernel
 from ..stage import Sight, Stage, Step
 
@@ -68,7 +68,7 @@ class Quantisation(Stage):
             return
         values = [step.leaves[kind] for kind in KINDS]
         if has_kernel(step.steps):
-            shown = Shown.apply(step.steps, self._seed(), *values)
+            shown = WithResidues.apply(step.steps, self._seed(), *values)
         else:
             each = [(v, step.steps[:, i : i + 1]) for i, v in enumerate(values)]
             shown = [v + self.residue(v, size) * size for v, size in each]
