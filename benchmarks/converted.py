@@ -72,7 +72,6 @@ class SplatFile:
     def row(
         self, label: str, by: str, file: Path, image: Callable[[Camera], NDArray[np.float32]], *more: str
     ) -> list[str]:
-        """Returns the row of a file."""
         rows = [measures(image(camera), right) for camera, right in zip(self.cameras, self.truth, strict=True)]
         size = file.stat().st_size
         figures = [f"{fmean(row['psnr'] for row in rows):.2f}", f"{fmean(row['ssim'] for row in rows):.4f}"]

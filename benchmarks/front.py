@@ -40,7 +40,6 @@ def rows(results: str) -> list[dict[str, str]]:
 
 
 def lines(scenes: list[dict[str, str]]) -> list[str]:
-    """Returns the lines of the table."""
     body = []
     for row in scenes:
         baseline, own = float(row[BASELINE]), [row.get(name, "-") for name in OWN]

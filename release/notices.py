@@ -40,7 +40,6 @@ def parts(name: str, tag: str) -> list[Part]:
 
 @cache
 def text(*of: Part) -> bytes:
-    """Returns the licences of parts."""
     package = importlib.util.find_spec("ziglang")
     assert package is not None
     assert package.origin is not None

@@ -72,7 +72,6 @@ def native(source: SourceTree, folder: Path, target: compiler.System) -> list[Pa
 
 
 def path_of(folder: Path, name: str, version: str, tag: str) -> Path:
-    """Returns the path of a wheel."""
     return folder / f"{name}-{version}-py3-none-{tag}.whl"
 
 

@@ -151,7 +151,6 @@ def argued(name: str) -> str | None:
 
 
 def _shown(kind: str, value: int) -> str:
-    """Returns a value as text."""
     if kind[0] != "f":
         return str(value)
     size = int(kind[1:])

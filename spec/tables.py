@@ -82,5 +82,4 @@ def tables() -> dict[str, bytes]:
 
 
 def made() -> Iterator[Made]:
-    """Yields the file."""
     yield Made(TARGET, b"".join(tables().values()))

@@ -139,7 +139,6 @@ def _shown(file: kinds.Place | Scene, words: ExportWords, program: int | None = 
 
 
 def _paths(output: Sequence[kinds.StrPath] | kinds.StrPath) -> list[Path]:
-    """Returns the paths of one or more outputs."""
     return [*map(Path, [output] if isinstance(output, str | os.PathLike) else output)]
 
 

@@ -156,6 +156,5 @@ def zero_attributes(d: Dimensions, anchors: int) -> Attributes:
 
 
 def join_attributes(parts: Iterable[Attributes], d: Dimensions) -> Attributes:
-    """Returns the concatenated attributes of all parts."""
     every = [zero_attributes(d, 0), *parts]
     return Attributes(*(np.concatenate([getattr(part, name) for part in every]) for name in vars(every[0])))

@@ -34,7 +34,6 @@ class ErrorKind:
 
     @property
     def clause(self) -> str:
-        """The clause of the requirement."""
         return self.requirement[1:].rpartition("-")[0]
 
 

@@ -121,7 +121,8 @@ def parse_prologue(data: bytes) -> tuple[int, int]:
     p = prologue.fields
     # SPEC [R6.1-2]
     if p.signature != SIGNATURE:
-        content = _signature_text(p.signature)
+        hint = " (changed in transfer, as text or by 7-bit mail?)" if p.signature[1:4] == SIGNATURE[1:4] else ""
+        content = p.signature.hex(" ") + hint
         raise prologue.error("prologue.signature", "signature", content, SIGNATURE.hex(" "))
     # SPEC [R6.1-3]: the CRC-32 comes before the version, because damage could have changed the version.
     crc = zlib.crc32(data[: PROLOGUE_BYTES - CRC_BYTES])
@@ -136,11 +137,6 @@ def parse_prologue(data: bytes) -> tuple[int, int]:
         allowed = f"a multiple of 4 from {HEADER_LENGTH_MIN} to {HEADER_LENGTH_MAX}"
         raise prologue.error("prologue.header_length", "header_length", length, allowed)
     return int(p.minor), length
-
-
-def _signature_text(signature: bytes) -> str:
-    hint = " (changed in transfer, as text or by 7-bit mail?)" if signature[1:4] == SIGNATURE[1:4] else ""
-    return signature.hex(" ") + hint
 
 
 # --- header -----------------------------------------------------------------------------------------------------------

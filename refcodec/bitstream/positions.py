@@ -207,11 +207,6 @@ def code_cells(
     return nodes & ((1 << _CODE_BITS) - 1), held + past
 
 
-def decode_cells(code: Int64, cell_shift: int) -> tuple[F16, NDArray[np.bool_]]:
-    """Returns the positions of codes, int64 [n]: the result of cell_positions."""
-    return cell_positions(_cells_of_codes(code), cell_shift)
-
-
 # --- the positions of chunks ------------------------------------------------------------------------------------------
 
 
@@ -290,7 +285,8 @@ def _packed(
         if error is None and held[i] != counts[i]:
             error = position_error(chunk, "positions.count", int(held[i]))
         # SPEC [R6.11-9]
-        positions, fits = decode_cells(code[firsts[i] : firsts[i] + rows[i]], model.cell_shift)
+        own = code[firsts[i] : firsts[i] + rows[i]]
+        positions, fits = cell_positions(_cells_of_codes(own), model.cell_shift)
         if error is None and not fits.all():
             error = position_error(chunk, "positions.cell", int(np.argmin(fits)))
         outcomes.append(error or positions)

@@ -203,7 +203,6 @@ class Opened:
 
     @property
     def header(self) -> Header:
-        """The header of the file."""
         return self.reader.header
 
     @property
@@ -226,7 +225,6 @@ class Opened:
             self._whole = native.room(count)
 
     def close(self) -> None:
-        """As Reader.close."""
         self.reader.close()
 
     def chunks(self, *, side_by_side: bool = False) -> Iterator[Chunk | BitstreamError]:

@@ -84,11 +84,9 @@ class WholeFile:
         self._data = data
 
     def read(self, start: int, size: int) -> bytes:
-        """As Source.read."""
         return self._data[start : start + size]
 
     def length(self) -> int:
-        """As Source.length."""
         return len(self._data)
 
 
@@ -172,12 +170,10 @@ class Ranges:
         self._fetch, self._length = fetch, length
 
     def read(self, start: int, size: int) -> bytes:
-        """As Source.read."""
         size = min(size, self._length - start)
         return self._fetch(start, size) if size > 0 else b""
 
     def length(self) -> int:
-        """As Source.length."""
         return self._length
 
 
@@ -190,13 +186,11 @@ class Held:
         self._held = source.read(start, size)
 
     def read(self, start: int, size: int) -> bytes:
-        """As Source.read."""
         if self._start <= start and start + size <= self._end:
             return self._held[start - self._start : start - self._start + size]
         return self._source.read(start, size)
 
     def length(self) -> int:
-        """As Source.length."""
         return self._source.length()
 
 

@@ -117,7 +117,6 @@ class _Beginning:
         self._file, self.held = file, b""
 
     def read(self, start: int, size: int) -> bytes:
-        """As Source.read."""
         self.held += read_up_to(self._file, max(0, start + size - len(self.held)))
         return self.held[start : start + size]
 

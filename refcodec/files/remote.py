@@ -72,7 +72,6 @@ class RemoteFile:
             return self._ranges.fetch(start, size)
 
     def length(self) -> int:
-        """Returns the length of the file."""
         return self._length
 
     @contextlib.contextmanager
@@ -84,10 +83,7 @@ class RemoteFile:
         # Each package behind fsspec has its own errors. After any of them, the file cannot be read.
         except Exception as error:
             text = " ".join(str(error).split()) or type(error).__name__
-            raise UsageError(f"cannot read {self._shown()}: {printable(text, 200)}") from None
-
-    def _shown(self) -> str:
-        return printable(self._url, 200)
+            raise UsageError(f"cannot read {printable(self._url, 200)}: {printable(text, 200)}") from None
 
 
 class _Stored:

@@ -92,7 +92,6 @@ def _write_files(scene: Uncompressed, path: Path) -> None:
 
 
 def render_document(render: RenderInfo, cameras: Sequence[NamedCamera], voxel: float | None) -> bytes:
-    """Returns render.json."""
     stated = [vars(camera) for camera in cameras]
     document: dict[str, Any] = {"format": UNCOMPRESSED, "render": vars(render), "cameras": stated}
     if voxel is not None:

@@ -85,10 +85,6 @@ def _wrapped(text: str, label: str = "") -> Iterator[str]:
     yield from textwrap.wrap(text, WIDTH, initial_indent=f"  {label}", subsequent_indent=indent, break_on_hyphens=False)
 
 
-def _sentence(text: str) -> str:
-    return text[0].upper() + text[1:] + "."
-
-
 def _clause_name(number: str) -> str:
     return f"{number} {own_clauses()[number].title}"
 
@@ -156,7 +152,7 @@ def _error_lines(kind: ErrorKind) -> Iterator[str]:
     """Yields an error: its meaning, why there is the rule, how files come to break it, and its requirement."""
     reason = reasons()[kind.name]
     yield f"{kind.code} {kind.name}, {kind.klass}, clause {_clause_name(kind.clause)}, requirement {kind.requirement}"
-    yield from _wrapped(_sentence(kind.text))
+    yield from _wrapped(f"{kind.text[0].upper()}{kind.text[1:]}.")
     yield from _wrapped(f"Its offset: {kind.where}.")
     yield from _wrapped(reason.why, "why  ")
     yield from _wrapped(reason.how, "how  ")

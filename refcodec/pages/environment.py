@@ -30,7 +30,6 @@ def raw(html: str) -> Markup:
 
 
 def encoded(data: bytes) -> Markup:
-    """Returns bytes in base64."""
     return raw(base64.b64encode(data).decode())
 
 

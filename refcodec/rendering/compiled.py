@@ -99,7 +99,6 @@ class Place:
 
     @classmethod
     def from_function(cls, function: Any, file: str) -> Place | None:
-        """Returns the place of a function, or None."""
         folder = _folder(function.__module__)
         return None if folder is None else cls(function, folder)
 
@@ -108,7 +107,6 @@ class Place:
         self._folder.mkdir(parents=True, exist_ok=True)
 
     def get_cache_path(self) -> str:
-        """Returns the folder."""
         return str(self._folder)
 
     def get_source_stamp(self) -> str:

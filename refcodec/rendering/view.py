@@ -67,8 +67,9 @@ class View:
 
     def __init__(self, scene: Scene | Uncompressed) -> None:
         check_render_model(scene.render)
-        self.info, self.masks, self.camera = scene.render, scene.masks, default_view(scene)
-        self.up = scene_up(self.info.up_axis, stated_cameras(scene))
+        stated = stated_cameras(scene)
+        self.info, self.masks, self.camera = scene.render, scene.masks, next(iter(stated), NamedCamera())
+        self.up = scene_up(self.info.up_axis, stated)
         self.values = reconstruct(scene) if isinstance(scene, Scene) else scene.values
         self.networks = {name: scene.networks[name] for name in RENDERING}
         self.splats = None
@@ -126,11 +127,6 @@ class View:
 def stated_cameras(scene: Scene | Uncompressed) -> list[NamedCamera]:
     """Returns the cameras that a scene states. The first one is the default view."""
     return cameras(scene.ancillary) if isinstance(scene, Scene) else [*scene.cameras]
-
-
-def default_view(scene: Scene | Uncompressed) -> NamedCamera:
-    """Returns the default view of a scene, which is at the world origin without cameras."""
-    return next(iter(stated_cameras(scene)), NamedCamera())
 
 
 def orbit_name(number: int) -> str:

@@ -316,7 +316,6 @@ class _Fitting:
         return {"settings": document(self.settings), "anchors": self.count, "planes": list(self.model.latents.shape)}
 
     def state(self) -> dict[str, Any]:
-        """As state.Savable."""
         model = {f"model.{name}": value for name, value in self.model.state_dict().items()}
         values = {
             "done": self.done,
@@ -327,7 +326,6 @@ class _Fitting:
         return {**model, **moments(self.optimiser), **values}
 
     def restore(self, state: Saved) -> None:
-        """As state.Savable."""
         state.module("model.", self.model)
         self.model.set_integers(state.value("integers", bool))
         restore_moments(self.optimiser, state)

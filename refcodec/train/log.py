@@ -38,7 +38,6 @@ class Table:
         self.path = path
 
     def write(self, rows: Sequence[Row]) -> None:
-        """As Log."""
         text = io.StringIO(newline="")
         writer = csv.DictWriter(text, (*COLUMNS, PHASE))
         writer.writeheader()
@@ -58,7 +57,6 @@ class Board:
         self._written = 0
 
     def write(self, rows: Sequence[Row]) -> None:
-        """As Log."""
         if self._writer is None:
             # Rows after an interrupt replace earlier rows of the same steps.
             self._writer = self._open(str(self._folder), purge_step=rows[0]["step"] if rows else None)

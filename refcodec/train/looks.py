@@ -47,7 +47,6 @@ class Looks(Stage):
     pace: Pace
 
     def join(self, run: Run) -> None:
-        """As Stage."""
         super().join(run)
         self.history, self.recent, self.seconds = [], [], 0.0
         self.pace = Pace(run.clock, bool(run.settings.rate.lambda_r))
@@ -88,7 +87,6 @@ class Looks(Stage):
         return {"history": self.history, "recent": self.recent, "seconds": self.seconds, **pace}
 
     def restore(self, state: Saved) -> None:
-        """As Stage."""
         self.history = [asdict(look) for look in state.value("history", list[Look])]
         self.pace.restore(state.within("pace"))
         self.recent, self.seconds = state.value("recent", list[float]), state.value("seconds", Positive)

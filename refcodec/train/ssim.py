@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn.functional import conv2d
 
@@ -19,12 +18,8 @@ TAPS = 2 * RADIUS + 1
 C1, C2 = 0.01**2, 0.03**2
 
 
-def _window() -> NDArray[np.float32]:
-    weights = np.exp(-((np.arange(TAPS) - RADIUS) ** 2) / (2 * DEVIATION**2))
-    return (weights / weights.sum()).astype(np.float32)
-
-
-WINDOW = _window()
+_WEIGHTS = np.exp(-((np.arange(TAPS) - RADIUS) ** 2) / (2 * DEVIATION**2))
+WINDOW = (_WEIGHTS / _WEIGHTS.sum()).astype(np.float32)
 
 
 def ssim_torch(x: Tensor, y: Tensor) -> Tensor:

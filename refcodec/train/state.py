@@ -73,7 +73,6 @@ class Saved:
         return Saved(self._values, f"{self._prefix}{name}/", self._read)
 
     def names(self) -> list[str]:
-        """Returns the names of the values."""
         return [name.removeprefix(self._prefix) for name in self._values if name.startswith(self._prefix)]
 
     def fault(self, name: str, problem: str) -> ValueError:

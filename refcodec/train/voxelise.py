@@ -116,7 +116,8 @@ def voxelise(points: F32, colours: NDArray[np.uint8], voxel: float | None = None
     p = points.astype(np.float64)
     lattice, owner = np.unique(np.round(p / v).astype(np.int64), axis=0, return_inverse=True)
     anchors: F64 = lattice.astype(np.float64) * v
-    logits = _logit(colours)
+    c = np.clip(colours.astype(np.float64) / 255, COLOUR_MARGIN, 1 - COLOUR_MARGIN)
+    logits = np.log(c / (1 - c))
     tree = cKDTree(p)
     count = np.bincount(owner.reshape(-1), minlength=len(anchors))
     parts = [
@@ -133,11 +134,6 @@ def voxelise(points: F32, colours: NDArray[np.uint8], voxel: float | None = None
         offsets.astype(np.float32),
         masks,
     )
-
-
-def _logit(colours: NDArray[np.uint8]) -> F64:
-    c = np.clip(colours.astype(np.float64) / 255, COLOUR_MARGIN, 1 - COLOUR_MARGIN)
-    return np.log(c / (1 - c))
 
 
 def _describe(

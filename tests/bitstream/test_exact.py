@@ -158,10 +158,3 @@ def test_a_process_that_is_forked_while_another_thread_decodes_has_all_threads(
     forked.set()
     thread.join(60)
     assert os.waitpid(child, 0)[1] == 0
-
-
-def test_encoding_is_the_same_in_small_groups(monkeypatch: pytest.MonkeyPatch) -> None:
-    scene = random_scene(22, 90, chunk_size=10)
-    data = codec.emit(scene)
-    monkeypatch.setattr(reader, "GROUP_CHUNKS", 2)
-    assert codec.emit(scene) == data

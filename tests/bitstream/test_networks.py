@@ -81,12 +81,8 @@ def test_derived_rows(spec: Spec, rows: list[Row]) -> None:
             derive_layer(weight, bias)
         assert caught.value.row == wanted.index(None)
         return
-    assert rows_of(derive_layer(weight, bias)) == wanted
-
-
-def rows_of(layer: IntLayer) -> list[tuple[list[int], int, int]]:
-    """A layer as the blocks take it."""
-    return list(zip(layer.weight.tolist(), layer.bias.tolist(), layer.exponent.tolist(), strict=True))
+    layer = derive_layer(weight, bias)
+    assert list(zip(layer.weight.tolist(), layer.bias.tolist(), layer.exponent.tolist(), strict=True)) == wanted
 
 
 def test_derive_networks_names_the_layer_of_a_broken_row() -> None:

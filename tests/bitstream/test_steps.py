@@ -226,15 +226,6 @@ def test_context_puts_the_parts_in_order(spec: Spec) -> None:
     assert len({tuple(row) for row in contexts}) > 100, "the anchors see different contexts"
 
 
-def test_contexts_do_not_depend_on_the_order_of_anchors() -> None:
-    scene = random_scene(23, 300)
-    both = assemble_planes(scene.planes)
-    contexts = context(scene.frame, both, scene.plane_shift, 2, scene.positions)
-    order = np.random.default_rng(0).permutation(300)
-    again = context(scene.frame, both, scene.plane_shift, 2, scene.positions[order])
-    assert np.array_equal(again, contexts[order])
-
-
 # --- the order of symbols, and their models ---------------------------------------------------------------------------
 
 

@@ -92,7 +92,6 @@ def test_prose_has_at_most_120_columns() -> None:
 
 
 def test_every_picture_has_its_command() -> None:
-    """And is small."""
     page = (ROOT / "docs" / "pictures" / "README.md").read_text(encoding="utf-8")
     for path in (ROOT / "docs" / "pictures").glob("*.[jp]*g"):
         assert f"| [{path.name}]({path.name}) | `" in page

@@ -73,7 +73,6 @@ def test_every_command_is_understood(page: Path, capsys: pytest.CaptureFixture[s
 
 
 def _options(program: str, command: str, capsys: pytest.CaptureFixture[str]) -> set[str]:
-    """The options of a command, by its help."""
     if command.startswith("-"):
         assert PROGRAMS[program](["--help"]) == 0
     else:

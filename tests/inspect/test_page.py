@@ -74,7 +74,6 @@ class Read(HTMLParser):
             self.wrong.append(f"/{tag}")
 
     def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        """Those of SVG."""
         self.found[tag] += 1
 
     def handle_data(self, data: str) -> None:

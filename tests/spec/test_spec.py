@@ -105,18 +105,6 @@ HEADINGS = set(re.findall(r"^#+ (?:Annex )?((?:\d+|[A-H])(?:\.\d+)*)[ :]", TEXT,
 PROSE = re.sub(r"^```.*?^```", "", TEXT, flags=re.DOTALL | re.MULTILINE)
 
 
-def test_requirements_name_registered_errors() -> None:
-    lines = re.findall(r"^- \[(R[^\]]+)\] .*?\(`([a-z_.]+)`\)", TEXT, re.MULTILINE)
-    ids = [i for i, _ in lines]
-    assert len(ids) == len(set(ids)) == len(re.findall(r"^- \[R", TEXT, re.MULTILINE))
-    assert {name for _, name in lines} == set(errors.REGISTRY), (
-        "each code has a requirement, and each requirement a code"
-    )
-    for kind in errors.REGISTRY.values():
-        assert kind.clause in HEADINGS, kind
-        assert kind.code // 100 in (1, 2, 3, 4, 5)
-
-
 def clause_texts() -> dict[str, str]:
     """The text of each clause outside code and generated parts."""
     bare = re.sub(r"<!-- generated.*?/generated -->", "", TEXT, flags=re.DOTALL)
@@ -135,6 +123,8 @@ def test_each_error_is_stated_once() -> None:
     for kind in errors.REGISTRY.values():
         words = re.search(rf"^- \[{kind.requirement}\].*", TEXT, re.MULTILINE)[0]
         assert ("not supported" in words) == (kind.klass == "unsupported"), kind
+        assert kind.clause in HEADINGS, kind
+        assert kind.code // 100 in (1, 2, 3, 4, 5)
     for number, text in clause_texts().items():
         prose = re.sub(r"^- \[R.*$", "", text, flags=re.MULTILINE)
         cited = {name for name in re.findall(r"`([a-z_]+\.[a-z_]+)`", prose) if name in errors.REGISTRY}
@@ -347,14 +337,6 @@ def test_terms_are_defined_before_they_are_used() -> None:
         )
     ):
         assert word in fields | {"step_table", "carm_inputs"}, word
-
-
-def test_clauses_cited_by_the_code_exist() -> None:
-    for path in [*sorted((ROOT / "refcodec").rglob("*.py")), *sorted((ROOT / "conformance").rglob("*.py"))]:
-        for clause in re.findall(
-            r"SPEC(?:\.md)? (?:Annex )?((?:\d+|[A-H])(?:\.\d+)*)", path.read_text(encoding="utf-8")
-        ):
-            assert clause in HEADINGS, f"{path.name} cites {clause}"
 
 
 def test_cross_references_resolve() -> None:

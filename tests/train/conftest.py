@@ -68,7 +68,6 @@ def trained(photographs: PhotographSet) -> Trainer:
 
 @pytest.fixture(scope="session")
 def coded(trained: Trainer) -> Scene:
-    """The scene of integers of this training."""
     scene = trained.result()
     assert isinstance(scene, Scene)
     return scene

@@ -155,7 +155,6 @@ def _noise(device: torch.device, random: torch.Generator, seed: int) -> torch.Ge
 
 @pytest.fixture
 def device(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
-    """The pretended device."""
     for module in (stage, trainer, views):
         monkeypatch.setattr(module, "draw", drawn_on_cpu)
     monkeypatch.setattr(trainer, "noise_generator", _noise)

@@ -129,7 +129,6 @@ class Meter:
         self.bits: list[F64] = []
 
     def values(self, group: ValueGroup) -> Int64:
-        """As Encoder.values."""
         given = group.given
         assert given is not None
         tally, channel = next(self._tallies)
@@ -140,7 +139,6 @@ class Meter:
         return given
 
     def plain(self, models: ModelSet, index: Int64, counts: list[int], name: SymbolName, given: Int64 | None) -> Int64:
-        """As Encoder.plain."""
         assert given is not None
         self.bits.append(plain_bits(models, index, given))
         return given

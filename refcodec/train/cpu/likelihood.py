@@ -116,7 +116,6 @@ def likelihood(mean: F32, scale: F32, symbol: F32, gauss: bool, floor: float) ->
 
 
 def array(value: Tensor) -> F32:
-    """A tensor as a contiguous array."""
     contiguous: F32 = value.detach().contiguous().numpy()
     return contiguous
 

@@ -80,7 +80,6 @@ class FoldedMlp(nn.Module):
         return x
 
     def _run(self, layer: int, x: Tensor, rows: slice) -> Tensor:
-        """The outputs of some rows of a layer."""
         if not has_kernel(x):
             return self.run_torch(layer, x, rows)
         values = self.weights[layer], self.biases[layer]

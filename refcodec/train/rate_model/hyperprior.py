@@ -122,14 +122,10 @@ class VectorMatrix:
         """
         if frame is None:
             return Contexts(None, torch.zeros(len(positions), 0))
-        u = scene_coordinates(frame, positions)
+        # SPEC 7.5.1 to 7.5.3
+        u = rescale(frame, contract(frame_coordinates(frame, position_integers(positions))))
         gamma = torch.as_tensor(positional_encoding(u[:, 2], self.frequencies).astype(np.float32))
         return Contexts(PlaneSamples(u[:, :2], plane_size) if plane_size else None, gamma)
-
-
-def scene_coordinates(frame: Frame, positions: NDArray[np.float16]) -> Int64:
-    """SPEC 7.5.1 to 7.5.3: integers [N, 3] in [0, 2^16] of positions fp16 [N, 3]."""
-    return rescale(frame, contract(frame_coordinates(frame, position_integers(positions))))
 
 
 def plane_neighbours(symbols: Tensor) -> Tensor:

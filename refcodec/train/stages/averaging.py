@@ -29,7 +29,6 @@ class Averaging(Stage):
     count: int
 
     def join(self, run: Run) -> None:
-        """As Stage."""
         super().join(run)
         self.anchors_changed()
 

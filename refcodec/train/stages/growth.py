@@ -131,7 +131,6 @@ class Growth(Stage):
         return {name: getattr(self, name) for name in _STATISTICS}
 
     def restore(self, state: Saved) -> None:
-        """As Stage."""
         for name in _STATISTICS:
             shape = getattr(self, name).shape
             setattr(self, name, state.tensor(name, shape, low=0).to(self.scaffold.device))

@@ -31,7 +31,6 @@ class Learning(Stage):
     optimiser: torch.optim.Adam
 
     def join(self, run: Run) -> None:
-        """As Stage."""
         super().join(run)
         self.settings, self.scaffold = run.settings.learning, run.scaffold
         groups = [
@@ -113,5 +112,4 @@ class Learning(Stage):
         return dict(moments(self.optimiser))
 
     def restore(self, state: Saved) -> None:
-        """As Stage."""
         restore_moments(self.optimiser, state)

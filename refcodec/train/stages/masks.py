@@ -28,7 +28,6 @@ class Masks(Stage):
     weight: Tensor
 
     def join(self, run: Run) -> None:
-        """As Stage."""
         super().join(run)
         self.settings, self.scaffold = run.settings.masks, run.scaffold
         self.dropped = 0
@@ -97,7 +96,6 @@ class Masks(Stage):
         self.run.anchors_changed()
 
     def show(self, sight: Sight) -> None:
-        """As Stage."""
         if self.on:
             sight.masks = self.kept(sight.values["masks"], sight.rows)
 
@@ -113,6 +111,5 @@ class Masks(Stage):
         return {"weight": self.weight, "dropped": self.dropped}
 
     def restore(self, state: Saved) -> None:
-        """As Stage."""
         self.weight = state.tensor("weight", (self.scaffold.count,), low=0).to(self.run.device)
         self.dropped = state.integer("dropped", 0)

@@ -75,7 +75,6 @@ class Quantisation(Stage):
         step.values |= zip(KINDS, shown, strict=True)
 
     def show(self, sight: Sight) -> None:
-        """As Stage."""
         if sight.steps is not None and self.rounds:
             for i, kind in enumerate(KINDS):
                 size = sight.steps[:, i : i + 1]

@@ -61,7 +61,6 @@ class Rate(Stage):
     contexts: Contexts
 
     def join(self, run: Run) -> None:
-        """As Stage."""
         super().join(run)
         self.settings, self.scaffold, self.model = run.settings, run.scaffold, None
         self.masks, self.quantisation = next(run.of(Masks)), next(run.of(Quantisation))
@@ -136,7 +135,6 @@ class Rate(Stage):
         model.calibrate(inputs, features, symbols)
 
     def finish(self) -> None:
-        """As Stage."""
         if self.model is None:
             self.start()
         if not self.started().integers:
@@ -203,7 +201,6 @@ class Rate(Stage):
     # --- looking ------------------------------------------------------------------------------------------------------
 
     def show(self, sight: Sight) -> None:
-        """As Stage."""
         if self.model is not None:
             sight.steps = self.steps(sight.rows)
 
@@ -246,7 +243,6 @@ class Rate(Stage):
         return {**frame, **model, **moments(self.optimiser), **more}
 
     def restore(self, state: Saved) -> None:
-        """As Stage."""
         if not state.names():
             return
         frame = self._restored_frame(state) if self._has_inputs else None

@@ -31,12 +31,10 @@ class Weights(Stage):
     rate: Rate
 
     def join(self, run: Run) -> None:
-        """As Stage."""
         super().join(run)
         self.rate = next(run.of(Rate))
 
     def before_step(self) -> None:
-        """As Stage."""
         if self.mode == "grid":
             self.finish()
 
