@@ -176,8 +176,8 @@ class Reader:
                 self._before += 1
                 # SPEC [R6.6-7]
                 if section.crc:
-                    found = f"0x{section.crc:08x}"
-                    raise BitstreamError("section.crc", section.start, section.name, found, "0x00000000")
+                    stated = f"0x{section.crc:08x}"
+                    raise BitstreamError("section.crc", section.start, section.name, stated, "0x00000000")
             elif behind:
                 self._read_ancillary(section.number)
         check_end(self.source, self.header.sections)
