@@ -1,24 +1,19 @@
-"""The comparison of decoders on generated files, and the target of libFuzzer."""
+"""The comparison of decoders on generated files."""
 
 from __future__ import annotations
 
-import re
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
-from c_program import COMPILER, SANITIZERS
 
 from conformance import cli, spec_decoder
 from conformance.fuzz import compare
 from conformance.manifest import VECTORS
 from refcodec import statuses
-from refcodec.bitstream import codec, tables
+from refcodec.bitstream import codec
 
-ROOT = Path(__file__).resolve().parents[2]
 EXAMPLE = (VECTORS / "tiny-example.c3gs").read_bytes()
-TARGET = ROOT / "conformance" / "c" / "fuzz.c"
 
 
 def refusing(code: int, offset: str, status: int) -> list[str]:
@@ -137,30 +132,3 @@ def test_processes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["fuzz", "-n", "1", "--seed", "5", "--jobs", "1", "--keep", str(tmp_path / "keep")]) == 0
     assert "0 disagreements" in capsys.readouterr().out
     assert not (tmp_path / "keep").exists()
-
-
-# --- libFuzzer --------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.no_cover
-def test_the_target_in_c(tmp_path: Path) -> None:
-    """The vectors, and what the mutator makes of them, give no difference and no report of a sanitizer.
-
-    The command is that of the source's first comment, for a compiler without libFuzzer.
-    """
-    if COMPILER is None:
-        pytest.skip("there is no C compiler here")
-    (tmp_path / "empty.c").write_text("int main(void) { return 0; }\n")
-    tried = [COMPILER, *SANITIZERS, tmp_path / "empty.c", "-o", tmp_path / "empty"]
-    if subprocess.run(tried, capture_output=True, check=False).returncode:
-        pytest.skip("the compiler has no sanitizers here")
-    stated = re.search(r"\* {4}(clang (?:.*\n \* {6})*.* -o) \S+\n", TARGET.read_text(encoding="utf-8"))
-    assert stated
-    words = stated[1].replace("\n *", "").replace("fuzzer,", "").replace("-O1", "-O0 -DREPLAY").split()
-    program = tmp_path / "replay"
-    subprocess.run([COMPILER, *words[1:], program], check=True, cwd=ROOT)
-    # Every third vector: the others repeat the same code.
-    files = sorted(VECTORS.rglob("*.c3gs"))[::3]
-    environment = {"C3GS_TABLES": str(tables.tables_file())}
-    ended = subprocess.run([program, *files], capture_output=True, text=True, check=False, env=environment)
-    assert ended.returncode == 0, ended.stdout + ended.stderr
