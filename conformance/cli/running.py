@@ -19,7 +19,7 @@ from refcodec.files.stage import Stage
 from refcodec.files.text import printable
 
 from ..manifest import Manifest, ManifestError
-from ..report import junit, page, summary
+from ..report import page, summary
 from ..report import record as records
 from ..report.schema import Record
 from ..runner import selection
@@ -32,7 +32,6 @@ from .shared import add_vectors, check_files, check_template, positive, suite
 # The files of a report.
 REPORTS = {
     "report.json": Kind("a report of this command", re.compile(rb'\{\n "report": "c3gs-conformance-report"')),
-    "report.xml": Kind("a report of this command", re.compile(rb'<\?xml [^>]*>\n<testsuites name="C3GS conformance"')),
     "report.html": Kind(
         "a report of this command", re.compile(rb"<!doctype html>\n.*: C3GS conformance</title>", re.DOTALL)
     ),
@@ -95,7 +94,7 @@ def _check_report(arguments: argparse.Namespace) -> None:
 
 
 def _write(folder: Path, record: Record) -> None:
-    contents = (records.text(record), junit.document(record), page.document(record))
+    contents = (records.text(record), page.document(record))
     with Stage() as stage:
         for name, text in zip(REPORTS, contents, strict=True):
             stage.write(folder / name, text.encode())
@@ -250,7 +249,7 @@ def add(commands: Any) -> None:
         "--report",
         type=Path,
         metavar="DIR",
-        help="folder for report.json, report.xml (JUnit) and report.html; only earlier reports are replaced",
+        help="folder for report.json and report.html; only earlier reports are replaced",
     )
     parser.add_argument(
         "command", nargs="+", metavar="-- COMMAND", help="{input}, {output} and {trace} stand for paths"

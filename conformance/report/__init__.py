@@ -1,1 +1,1 @@
-"""Reports of a run: a record in JSON, and from it JUnit XML, an HTML page and a summary for a terminal."""
+"""Reports of a run: a record in JSON, and from it an HTML page and a summary for a terminal."""

@@ -1,14 +1,12 @@
-"""The form of a record. `python -m conformance.report.schema` prints it as JSON schema.
+"""The form of a record.
 
 Every member of an object is required, except those with a default, and no other is allowed.
 """
 
 from __future__ import annotations
 
-import json
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-import msgspec
 from msgspec import UNSET, Meta, UnsetType
 
 from ..manifest import Count, Positive, Sha256, Strict, Text
@@ -102,16 +100,6 @@ class WrongNumber(Strict, frozen=True):
     text: str
 
 
-class Suspect(Strict, frozen=True):
-    """A requirement. score: Ochiai's coefficient. failing, passing: the number of its vectors."""
-
-    requirement: str
-    score: Number
-    failing: Count
-    passing: Count
-    text: str
-
-
 class Diagnosis(Strict, frozen=True):
     """failing, passing: numbers of vectors. text: lines for people."""
 
@@ -119,7 +107,6 @@ class Diagnosis(Strict, frozen=True):
     passing: Count
     text: tuple[str, ...]
     probes: tuple[WrongNumber, ...]
-    requirements: tuple[Suspect, ...]
 
 
 class Record(Strict, frozen=True, kw_only=True):
@@ -137,12 +124,3 @@ class Record(Strict, frozen=True, kw_only=True):
     diagnosis: Diagnosis | None
     sha256: Sha256
     vectors: tuple[Result, ...]
-
-
-def schema() -> dict[str, Any]:
-    """Returns the JSON schema of a record."""
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **msgspec.json.schema(Record)}
-
-
-if __name__ == "__main__":
-    print(json.dumps(schema(), indent=1))

@@ -73,7 +73,7 @@ def lines(record: Record, suite: Path) -> Iterator[str]:
         yield f"... and {len(bad) - _SHOWN} more; --report lists all"
     if bad:
         yield ""
-    if record.diagnosis:
+    if record.diagnosis and record.diagnosis.text:
         yield from record.diagnosis.text
         yield ""
     decoder, runner, verdict = record.decoder.description, record.runner, record.verdict

@@ -16,7 +16,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import psutil
 import pytest
@@ -163,7 +162,6 @@ def test_nothing_is_left_and_nothing_steers(ran: Ran, served: Ran) -> None:
     """No process, file or folder is left, and the reports are text of bounded length."""
     for run in (ran, served):
         assert (run.status, run.left) == (statuses.REJECTED, [[], True])
-        ElementTree.parse(run.folder / "report.xml")
         assert "</pre><script>" not in (run.folder / "report.html").read_text()
         assert all(printable(path.read_text()) for path in run.folder.iterdir())
         assert max(len(v["stderr"]) for v in run.entries.values()) < 4100

@@ -14,21 +14,19 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
-import jsonschema
 import pytest
 from small_suite import Suite
 
 from conformance import cli
 from conformance.cli import running
 from conformance.manifest import MANIFEST, load
-from conformance.report import schema, summary
+from conformance.report import summary
 from conformance.report.record import RecordError, check
 from conformance.runner import process
 from conformance.runner import run as runner
@@ -88,6 +86,7 @@ def test_ancillary_sections(suite: Suite, tmp_path: Path) -> None:
     assert "302" in failed["text"]
     # The bytes at the offset that the decoder reported.
     assert [line.startswith("> 000000d8 ") for line in failed["hex"] if line.startswith(">")] == [True]
+    assert record["diagnosis"]["text"] == ["the decoder refuses 1 valid files, in their header (1)"]
 
 
 @pytest.mark.parametrize(("mode", "statuses_"), [("other-code", (0, 1)), ("exit-1", (0, 1)), ("offset-1", (0, 0, 1))])
@@ -212,22 +211,6 @@ def test_the_decoders_serve(suite: Suite, name: str) -> None:
 # --- reports ----------------------------------------------------------------------------------------------------------
 
 
-def test_junit(suite: Suite, tmp_path: Path) -> None:
-    suite.report("no-ancillary", tmp_path)
-    root = ElementTree.parse(tmp_path / "report.xml").getroot()
-    assert [(s.get("name"), s.get("tests"), s.get("failures"), s.get("errors")) for s in root] == [
-        ("valid", "2", "1", "0"),
-        ("malformed", "1", "0", "0"),
-        ("invalid", "1", "0", "0"),
-        ("unsupported", "1", "0", "0"),
-        ("resource", "1", "0", "0"),
-    ]
-    suite.report("segfault", tmp_path)
-    root = ElementTree.parse(tmp_path / "report.xml").getroot()
-    assert sum(int(s.get("errors", 0)) for s in root) == 6
-    assert [e.get("message") for e in root.iter("error")] == ["crash: ended by SIGSEGV"] * 6
-
-
 def test_the_page(suite: Suite, tmp_path: Path) -> None:
     suite.report("last-bit", tmp_path)
     page = (tmp_path / "report.html").read_text()
@@ -242,26 +225,11 @@ def test_text_of_a_decoder_is_shown_as_text(suite: Suite, tmp_path: Path) -> Non
     about.write_text(json.dumps({"name": "<script>alert(1)</script>", "version": "\x01\x1b[31m & <b>"}))
     suite.report("raises", tmp_path, "--describe", str(about))
     assert "<script>alert" not in (tmp_path / "report.html").read_text()
-    ElementTree.parse(tmp_path / "report.xml")
 
 
-def test_the_schema_of_a_record(suite: Suite, tmp_path: Path) -> None:
-    """It allows what the runner writes, and no other member anywhere."""
+def test_a_record_has_all_its_members_and_no_other(suite: Suite, tmp_path: Path) -> None:
     _, record = suite.report("no-ancillary", tmp_path)
-    wanted = json.loads(json.dumps(schema.schema()))
-    jsonschema.Draft202012Validator.check_schema(wanted)
-    jsonschema.validate(record, wanted)
-
-    def objects(value: Any) -> Iterator[dict[str, Any]]:
-        for inner in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
-            yield from objects(inner)
-        if isinstance(value, dict) and value.get("type") == "object":
-            yield value
-
-    assert all("additionalProperties" in o for o in objects(wanted))
     for broken in ({**record, "more": 1}, {k: v for k, v in record.items() if k != "verdict"}):
-        with pytest.raises(jsonschema.ValidationError):
-            jsonschema.validate(broken, wanted)
         with pytest.raises(RecordError):
             check(broken)
 
