@@ -40,10 +40,7 @@ OVER = {
     "time": "took too long",
     "memory": "took too much memory",
     "output": "wrote too much",
-    "files": "left too many files, or too large ones",
-    "processes": "started too many processes",
     "start": "could not be started",
-    "left": "left processes that could not be ended",
     "answer": "gave an answer that cannot be read",
 }
 # More bytes than the digest of any scene covers (SPEC 9.3).

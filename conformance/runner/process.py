@@ -1,4 +1,4 @@
-"""Decoder processes with bounds on time, memory, files and the number of processes.
+"""Decoder processes with bounds on time, memory and output.
 
 A decoder process decodes one file, or serves: it reads a request for each file from stdin and answers on stdout. Each
 request and each answer is a line of JSON. What a process writes goes to files, so that nothing is read while it runs.
@@ -13,13 +13,11 @@ import os
 import resource
 import shutil
 import signal
-import stat
 import subprocess
 import sys
 import tempfile
 import threading
 import time
-import uuid
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -33,26 +31,20 @@ from .folder import Folder
 
 # The longest file that a decoder may write. The largest reconstruction and trace of the suite are well below it.
 FILE_BYTES = 64 << 20
-# The bounds of a vector's folder: the number of files and folders, and their bytes on the disk.
-ENTRIES, FOLDER_BYTES = 1000, 256 << 20
-# The most processes at a time.
-PROCESSES = 100
 # The parts of stderr that are kept: its first and its last bytes.
 STDERR_HEAD, STDERR_TAIL = 4 << 10, 12 << 10
 # The longest answer of a process that serves.
 ANSWER_BYTES = 1 << 20
 # The bound of wall time, as a factor of the seconds.
 PATIENCE = 10
-# The time in which killed processes must end, in seconds.
-GONE = 5.0
+# The time that killed processes have to end, in seconds.
+_GONE = 5.0
 # The shortest pause between two looks at a process, the longest one, and the interval at which new processes are
 # searched for, in seconds.
 _PAUSE, _LOOK, _SEARCH = 0.001, 0.02, 0.1
 _RSS_UNIT = 1 if sys.platform == "darwin" else 1024
 # The most bytes by which the kernel's count of resident memory may be late.
 _LATE = 1 << 20
-# The environment variable that marks a decoder's processes, including those that left its tree.
-_MARK = "C3GS_CONFORMANCE_RUN"
 
 
 class CommandError(Exception):
@@ -100,24 +92,6 @@ class Bounds:
             return "time"
         return "memory" if used > self.memory else None
 
-    def stored(self) -> str | None:
-        """The bound that the files of the folder pass, if any. Unreadable folders are ignored."""
-        entries = taken = 0
-        waiting = [str(self.folder.path)]
-        while waiting:
-            with contextlib.suppress(OSError), os.scandir(waiting.pop()) as listed:
-                for entry in listed:
-                    status = entry.stat(follow_symlinks=False)
-                    entries += 1
-                    taken += status.st_blocks * 512
-                    if stat.S_ISREG(status.st_mode) and status.st_size >= FILE_BYTES:
-                        return "output"
-                    if entries > ENTRIES or taken > FOLDER_BYTES:
-                        return "files"
-                    if stat.S_ISDIR(status.st_mode):
-                        waiting.append(entry.path)
-        return None
-
 
 def fill(template: Sequence[str], places: dict[str, Path]) -> list[str]:
     """Replaces {input} and the like in a command by paths; other braces stay."""
@@ -156,7 +130,6 @@ class _Decoder:
 
     def __init__(self, command: Sequence[str], temporary: Path, serves: bool = False) -> None:
         """Starts the process. Raises OSError or ValueError."""
-        self._mark, self._before = uuid.uuid4().hex, set(psutil.pids())
         self._errors, self._answers = _appended(), _appended()
         self.began, self._spent = time.monotonic(), 0.0
         self.usage: resource.struct_rusage | None = None
@@ -166,7 +139,7 @@ class _Decoder:
             stdout=self._answers if serves else subprocess.DEVNULL,
             stderr=self._errors,
             bufsize=0,
-            env={**os.environ, "TMPDIR": str(temporary), _MARK: self._mark},
+            env={**os.environ, "TMPDIR": str(temporary)},
             start_new_session=True,
         )
         # Read after the start: a process inherits the peak that the process that started it has until then.
@@ -216,39 +189,34 @@ class _Decoder:
                     searched = now
                     self._search()
                 used, spent = self._use()
-                over = "processes" if len(self._known) > PROCESSES else None
-                over = over or bounds.passed(now - self.began, spent - self._spent, used) or bounds.stored()
-                if over := over or self._wrote():
+                if over := bounds.passed(now - self.began, spent - self._spent, used) or self._wrote(bounds):
                     return over
             time.sleep(pause)
             pause = min(2 * pause, _LOOK)
         return None
 
     def kill(self) -> None:
-        """Kills the decoder and every process that it started."""
-        end = time.monotonic() + GONE
-        while time.monotonic() < end:
-            self._search()
-            with contextlib.suppress(ProcessLookupError, PermissionError):  # the latter for zombies on some systems
-                os.killpg(self._process.pid, signal.SIGKILL)
-            for process in self._known:
-                with contextlib.suppress(psutil.Error):
-                    process.kill()
-            if self._reap() and not self._known:
-                return
-            time.sleep(0.002)
+        """Kills the decoder's process group, and its known descendants outside the group."""
+        self._search()
+        with contextlib.suppress(ProcessLookupError, PermissionError):  # the latter for zombies on some systems
+            os.killpg(self._process.pid, signal.SIGKILL)
+        for process in self._known:
+            with contextlib.suppress(psutil.Error):
+                process.kill()
+        self._reap(0)
+        psutil.wait_procs(self._known - {self._root}, timeout=_GONE)
 
     def ended(self, over: str | None, bounds: Bounds) -> Ended:
         """Kills the decoder. Returns its end, after a last check of the bounds."""
         took = time.monotonic() - self.began
         self.kill()
         stderr = _excerpt(os.pread(self._errors.fileno(), FILE_BYTES, 0))
-        over = over or self._wrote() or ("left" if self._known else None)
-        if over or self.usage is None:
-            return Ended(None, None, over or "left", stderr, took, None)
+        assert self.usage is not None
+        if over := over or self._wrote(bounds):
+            return Ended(None, None, over, stderr, took, None)
         peak = self.usage.ru_maxrss * _RSS_UNIT
         peak = peak if peak > self._floor else 0
-        over = bounds.passed(took, self.usage.ru_utime + self.usage.ru_stime - self._spent, peak) or bounds.stored()
+        over = bounds.passed(took, self.usage.ru_utime + self.usage.ru_stime - self._spent, peak)
         code = self._process.returncode
         status, number = (code, None) if code >= 0 else (None, -code)
         return Ended(status, number, over, stderr, took, peak or None)
@@ -260,30 +228,27 @@ class _Decoder:
             if file:
                 file.close()
 
-    def _wrote(self) -> str | None:
-        written = max(os.fstat(file.fileno()).st_size for file in (self._errors, self._answers))
-        return "output" if written >= FILE_BYTES else None
+    def _wrote(self, bounds: Bounds) -> str | None:
+        """The bound of output, if it is passed by stderr, a server's stdout, the output or the trace."""
+        sizes = [os.fstat(file.fileno()).st_size for file in (self._errors, self._answers)]
+        for path in (bounds.folder.output, bounds.folder.trace):
+            with contextlib.suppress(OSError):
+                sizes.append(path.lstat().st_size)
+        return "output" if max(sizes) >= FILE_BYTES else None
 
-    def _reap(self) -> bool:
-        """Whether the process has ended."""
+    def _reap(self, options: int = os.WNOHANG) -> bool:
+        """Whether the process has ended. options: of wait4, 0 to wait for the end."""
         if self.usage is None:
-            pid, status, usage = os.wait4(self._process.pid, os.WNOHANG)
+            pid, status, usage = os.wait4(self._process.pid, options)
             if pid:
                 self.usage, self._process.returncode = usage, os.waitstatus_to_exitcode(status)
         return self.usage is not None
 
     def _search(self) -> None:
-        """Updates the known processes: the tree of the decoder, and marked processes that left it."""
-        found = set(self._known)
-        if self.usage is None:
-            with contextlib.suppress(psutil.Error):
-                found.update(self._root.children(recursive=True))
-        for pid in set(psutil.pids()) - self._before - {process.pid for process in found}:
-            with contextlib.suppress(psutil.Error):
-                process = psutil.Process(pid)
-                if process.environ().get(_MARK) == self._mark:
-                    found.add(process)
-        self._known = {process for process in found if _lives(process)}
+        """Updates the known processes: the decoder, and the descendants that it had at any search."""
+        with contextlib.suppress(psutil.Error):
+            self._known.update(self._root.children(recursive=True))
+        self._known = {process for process in self._known if process.is_running()}
 
     def _use(self) -> tuple[int, float]:
         """Bytes of resident memory and seconds of processor time of the known processes and their ended children."""
@@ -295,14 +260,8 @@ class _Decoder:
         return memory, spent
 
 
-def _lives(process: psutil.Process) -> bool:
-    with contextlib.suppress(psutil.Error):
-        return process.is_running() and process.status() != psutil.STATUS_ZOMBIE
-    return False
-
-
 class Watcher:
-    """Runs decoders, one at a time. Every process that a decoder started ends with it."""
+    """Runs decoders, one at a time."""
 
     def __init__(self) -> None:
         self._server: _Decoder | None = None
@@ -312,9 +271,9 @@ class Watcher:
     def run(self, command: Sequence[str], bounds: Bounds) -> Ended:
         """Runs a command until its end or until it passes a bound.
 
-        The bounds are wall time and processor time in seconds (README.md), bytes of resident memory of all its
-        processes, and the files of its folder. Address space is unbounded, because interpreters and sanitizers reserve
-        more than they use. Raises StoppedError if the run is stopped meanwhile.
+        The bounds are wall time and processor time in seconds (README.md), bytes of resident memory of its processes,
+        and bytes of each file. Address space is unbounded, because interpreters and sanitizers reserve more than they
+        use. Raises StoppedError if the run is stopped meanwhile.
         """
         try:
             decoder = _Decoder(command, bounds.folder.temporary)
@@ -345,7 +304,6 @@ class Watcher:
             line = b"" if over else server.take_answer()
             if line.endswith(b"\n"):
                 ended = _read_answer(line, self._asked, time.monotonic() - server.began)
-                ended = ended if ended.over else replace(ended, over=bounds.stored())
             else:
                 # A server that ends without an answer gives none.
                 ended = server.ended(over, bounds)

@@ -18,8 +18,7 @@ from pathlib import Path
 
 # Seconds after which a process ends that a decoder leaves behind.
 LINGERS = 30
-# A test finds this command by its mark, even without an environment.
-NAP = ["sleep", f"{LINGERS}.{os.environ.get('C3GS_TEST_MARK', '')}"]
+NAP = ["sleep", f"{LINGERS}"]
 STEERS = (
     b"\x1b[31m \x1b]0;title\x07 \x9b31m \x00 \xc2\x9b31m \xe2\x80\xae\xd9\x84 \xff\xfe \xed\xa0\x80 </pre><script>\n"
     b"\x1b]52;c;aGk=\x07 a last line that is not JSON\r\x08\x7f"
@@ -43,17 +42,6 @@ def right(answer, output, trace):
     return 0
 
 
-def in_background(work):
-    """Runs a function in a process whose parent has ended, in a session of its own."""
-    if os.fork():
-        return
-    os.setsid()
-    if os.fork():
-        os._exit(0)
-    work()
-    os._exit(0)
-
-
 def linger():
     time.sleep(LINGERS)
 
@@ -70,18 +58,6 @@ def eat():
     linger()
 
 
-def leave_children():
-    """A child without an environment, and a process that left the tree."""
-    subprocess.Popen(NAP, env={})
-    in_background(linger)
-
-
-def many_children():
-    for _ in range(200):
-        subprocess.Popen(NAP)
-    linger()
-
-
 def flood(number):
     while True:
         os.write(number, b"x" * (1 << 20))
@@ -93,61 +69,31 @@ def giant(output):
             file.write(bytes(1 << 20))
 
 
-def many_files(folder):
-    for number in range(3000):
-        (folder / f"{number}").write_bytes(b"x")
-
-
-def deep_folders(folder):
-    os.chdir(folder)
-    for _ in range(500):
-        os.mkdir("a-folder-in-a-folder")
-        os.chdir("a-folder-in-a-folder")
-
-
-def closed_folders(folder):
-    for part in ("a/b", "c"):
-        (folder / part).mkdir(parents=True)
-        (folder / part / "file").write_bytes(b"x")
-        (folder / part).chmod(0)
-
-
 def main(mode, answers, name, target, *rest):
     source, output, trace = Path(name), Path(target), Path(rest[0]) if rest else None
     known = json.loads(Path(answers).read_text())[hashlib.sha256(source.read_bytes()).hexdigest()]
     mode, good = known["mode"] if mode == "listed" else mode, known["exit"] == 0
-    folder = source.parent / "temporary"
-    # What a decoder does that ends otherwise, by mode, and what it does before a right answer.
+    # What a decoder does that ends otherwise, by mode.
     misuse = {
         "hang": linger,
         "hang-in-child": lambda: subprocess.run(NAP, check=False),
         "spins": spin,
         "segfault": lambda: os.kill(os.getpid(), signal.SIGSEGV),
-        "kills-its-group": lambda: os.kill(0, signal.SIGKILL),
         "memory": eat,
-        "memory-of-daemon": lambda: (in_background(eat), linger()),
-        "many-children": many_children,
         "much-on-stderr": lambda: flood(2),
         "output-is-giant": lambda: giant(output),
-        "output-is-a-folder": output.mkdir,
         "output-is-a-link": lambda: output.symlink_to("/dev/zero"),
-        "output-is-a-fifo": lambda: os.mkfifo(output),
-        "folder-is-gone": lambda: shutil.rmtree(source.parent),
-        "many-files": lambda: many_files(folder),
         "nothing": lambda: None,
-    }
-    before = {
-        "left-children": leave_children,
-        "deep-folders": lambda: deep_folders(folder),
-        "closed-folders": lambda: closed_folders(folder),
-        "cwd-is-gone": lambda: shutil.rmtree(Path.cwd()),
-        "changes-suite": lambda: Path(os.environ["FAKE_DECODER_CHANGES"]).write_bytes(b""),
     }
     if mode in misuse:
         misuse[mode]()
         return 0
-    if mode in before:
-        before[mode]()
+    if mode == "left-children":
+        subprocess.Popen(NAP)
+    if mode == "cwd-is-gone":
+        shutil.rmtree(Path.cwd())
+    if mode == "changes-suite":
+        Path(os.environ["FAKE_DECODER_CHANGES"]).write_bytes(b"")
     match mode:
         case "raises":
             raise RuntimeError("planted")
@@ -196,26 +142,15 @@ def serve(answers):
             "signal": {"status": None, "signal": 11},
             "both": {"signal": 11},
             "of-another": {"id": q["id"] + 1},
-            "steers": {"status": 1, "stderr": "\x1b]0;x\x07\ud800\u202e"},
         }
         text = json.dumps(answer | more.get(a["mode"], {}))
         match a["mode"]:
             case "dies":
                 os.abort()
-            case "leaves":
-                sys.exit(0)
             case "eats":
                 eat()
             case "late":
                 subprocess.run(NAP, check=False)
-            case "many-children":
-                many_children()
-            case "left-children":
-                leave_children()
-            case "floods-stderr":
-                flood(2)
-            case "no-output":
-                output.unlink()
             case "garbage":
                 text = "accepted"
             case "endless":
