@@ -1,4 +1,4 @@
-"""Static scenes in the viewer and in pages of Spark, PlayCanvas and three.js, opened in Chromium.
+"""Static scenes in the viewer and in pages of Spark and PlayCanvas, opened in Chromium.
 
 The packages are looked for as in test_web_three.py: `npm install three @sparkjsdev/spark playcanvas`.
 """
@@ -6,10 +6,8 @@ The packages are looked for as in test_web_three.py: `npm install three @sparkjs
 from __future__ import annotations
 
 import base64
-import contextlib
 import io
 import threading
-from collections.abc import Iterator
 from dataclasses import replace
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -23,9 +21,6 @@ from web_program import ROOT, WEB
 from benchmarks.large import made_static
 from refcodec.bitstream import cameras, codec
 from refcodec.bitstream.scene import Ancillary
-from refcodec.formats.glb import glb_bytes
-from refcodec.rendering.camera import axis_direction
-from refcodec.rendering.gaussians import static_splats
 from refcodec.viewer.page import page
 from tests.chromium import Chromium, find
 
@@ -38,8 +33,6 @@ pytestmark = [
 PAGES = Path(__file__).with_name("pages")
 TYPES = {".html": "text/html", ".js": "text/javascript", ".mjs": "text/javascript", ".wasm": "application/wasm"}
 VALID = ROOT / "vectors" / "valid"
-# Since three 0.187.
-SPLATS = "examples/jsm/loaders/GLTFGaussianSplatLoaderExtension.js"
 CAMERAS = 4
 
 
@@ -93,26 +86,20 @@ def _image(address: str) -> np.ndarray:
     return np.asarray(Image.open(io.BytesIO(base64.b64decode(address.partition(",")[2]))).convert("RGB"))
 
 
-@contextlib.contextmanager
-def _opened(name: str, packages: tuple[str, ...], files: dict[str, bytes]) -> Iterator[Chromium]:
-    """Opens a page, which must report nothing. Skips without its packages. files: what the page loads, by name."""
+def _pictures(name: str, packages: tuple[str, ...], data: bytes) -> list[np.ndarray]:
+    """Returns what a page draws of a file for each camera. It must report nothing. Skips without its packages."""
     modules = next((f for f in FOLDERS if all((f / package / "package.json").exists() for package in packages)), None)
     if modules is None:
         pytest.skip(f"{' and '.join(packages)} are in no folder of NODE_PATH")
-    with _Server({"modules": modules, "c3gs": WEB}, files) as server:
+    with _Server({"modules": modules, "c3gs": WEB}, {"scene.c3gs": data}) as server:
         threading.Thread(target=server.serve_forever, daemon=True).start()
         with Chromium(str(find()), 320, 240) as browser:
             browser.open(f"http://127.0.0.1:{server.server_address[1]}/{name}.html")
             browser.until("globalThis.picture !== undefined")
-            yield browser
+            found = [_image(browser.run(f"picture({number})")) for number in range(CAMERAS)]
             assert browser.said == []
         server.shutdown()
-
-
-def _pictures(name: str, packages: tuple[str, ...], data: bytes) -> list[np.ndarray]:
-    """Returns what a page draws for each camera."""
-    with _opened(name, packages, {"scene.c3gs": data}) as browser:
-        return [_image(browser.run(f"picture({number})")) for number in range(CAMERAS)]
+    return found
 
 
 def _agreement(found: list[np.ndarray], right: list[np.ndarray]) -> list[float]:
@@ -140,22 +127,3 @@ def test_spark_draws_what_render_draws(path: tuple[bytes, list[np.ndarray]]) -> 
 def test_playcanvas_draws_the_scene(path: tuple[bytes, list[np.ndarray]]) -> None:
     """Its Gaussians end at another distance, and are blended in 8 bits."""
     assert min(_agreement(_pictures("playcanvas", ("playcanvas",), path[0]), path[1])) > 30
-
-
-def test_three_draws_the_means(path: tuple[bytes, list[np.ndarray]]) -> None:
-    assert min(_agreement(_pictures("three", ("three",), path[0]), path[1])) > 12
-
-
-def test_three_draws_glb_files(path: tuple[bytes, list[np.ndarray]]) -> None:
-    """Its own renderer draws the same from the compressed scene and from the fallback. It has harmonics of 8 bits."""
-    data, right = path
-    scene = codec.parse(data).scene
-    splats, up = static_splats(scene), axis_direction(scene.render.up_axis)
-    files = {"c3gs.glb": glb_bytes(splats, up, data, plain=False), "both.glb": glb_bytes(splats, up, data)}
-    if not any((f / "three" / SPLATS).exists() for f in FOLDERS):
-        pytest.skip("three is in no folder of NODE_PATH, or has no loader of Gaussians in glTF")
-    with _opened("gltf", ("three",), {"scene.c3gs": data, **files}) as browser:
-        assert browser.run("kinds") == ["GaussianSplat"] * 3
-        assert browser.run("same(0)")
-        found = [_image(browser.run(f"picture({number})")) for number in range(CAMERAS)]
-    assert min(_agreement(found, right)) > 28
