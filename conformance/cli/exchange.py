@@ -16,10 +16,10 @@ from .errors import UsageError
 
 def check_encoder(arguments: argparse.Namespace) -> int:
     """Runs `conformance check-encoder`; returns its exit status. Raises the errors of `status_of`."""
-    contents = [p and p.read_bytes() for p in (arguments.reconstruction, arguments.probes)]
-    meant = encoders.Meant(arguments.expect, *contents)
+    output = arguments.reconstruction
+    meant = encoders.Meant(arguments.expect, output and output.read_bytes())
     if meant != encoders.Meant() and len(arguments.files) > 1:
-        raise UsageError("--expect, --reconstruction and --probes are for one file")
+        raise UsageError("--expect and --reconstruction are for one file")
     wrong = 0
     for path in arguments.files:
         verdict = encoders.examine(path.read_bytes(), meant)
@@ -46,8 +46,5 @@ def add(commands: Any) -> None:
     encoder.add_argument("--expect", type=_sha256, metavar="DIGEST", help="the digest of the scene that was meant")
     encoder.add_argument(
         "--reconstruction", type=Path, metavar="OUTPUT", help="the scene that was meant, as a decoder's output"
-    )
-    encoder.add_argument(
-        "--probes", type=Path, metavar="TRACE", help="the numbers that the encoder computed, as probes"
     )
     encoder.set_defaults(run=check_encoder)
