@@ -111,8 +111,6 @@ def run_command(arguments: argparse.Namespace) -> int:
         note(f"no vector is selected: {' | '.join(arguments.select)}")
         return statuses.NOTHING
     if arguments.report:
-        # A decoder may remove the working folder.
-        arguments.report = arguments.report.absolute()
         _check_report(arguments)
     started, began = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"), time.monotonic()
     done = run(manifest, vectors, options, known, show=sys.stderr.isatty())

@@ -35,14 +35,6 @@ def most_telling(vectors: Sequence[Result]) -> list[Result]:
     return sorted(bad, key=lambda v: len(v.requirements))
 
 
-def _from_here(path: Path) -> str:
-    """Returns a path relative to the working folder, or the absolute path if that folder was removed."""
-    try:
-        return printable(os.path.relpath(path))
-    except OSError:
-        return printable(str(path))
-
-
 def _general(vectors: Sequence[Result]) -> set[str]:
     """Returns the clauses that too many vectors have."""
     counts = Counter(clause for v in vectors for clause in v.clauses)
@@ -65,7 +57,7 @@ def lines(record: Record, suite: Path) -> Iterator[str]:
         symbol = _ANCHOR.search("\n".join(v.divergence))
         anchor = v.probe.anchor if v.probe else symbol.group(1) if symbol else None
         form = "--hex" if anchor is None else f"--anchor {anchor}"
-        look = shlex.join(["refcodec", "inspect", _from_here(suite / v.input)])
+        look = shlex.join(["refcodec", "inspect", printable(os.path.relpath(suite / v.input))])
         # General clauses are left out if there are others.
         read = [clause for clause in v.clauses if clause not in general] or v.clauses
         yield f"    {v.title}; read {', '.join(read)}; {look} {form}"

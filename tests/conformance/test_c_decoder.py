@@ -1,4 +1,4 @@
-"""The decoder in C (conformance/c) as a program: its output, its usage, and other tables. test_decoders.py has the
+"""The decoder in C (conformance/c) as a program: a pipe, its usage, and other tables. test_decoders.py has the
 verdicts."""
 
 from __future__ import annotations
@@ -12,21 +12,6 @@ from hostile_files import FILES, SCENES
 
 from refcodec import statuses
 from refcodec.bitstream import reconstruction
-
-
-@pytest.mark.no_cover
-@pytest.mark.parametrize("name", FILES)
-def test_digests_and_reconstruction(c_decoder: Program, name: str) -> None:
-    """Whole and part by part."""
-    scene = SCENES[name]
-    file, output = c_decoder.folder / "valid.c3gs", c_decoder.folder / "output"
-    file.write_bytes(FILES[name])
-    whole, parts = reconstruction.digest(scene)
-    printed = dict(line.split() for line in c_decoder.run("digest", file).stdout.decode().splitlines())
-    assert printed == {"whole": whole, **parts}
-    assert c_decoder.run("decode", file, output).returncode == statuses.DONE
-    expected = reconstruction.digested(scene) + b"".join(part for _, part in reconstruction.canonical_parts(scene))
-    assert output.read_bytes() == expected
 
 
 def test_a_pipe_is_read(c_decoder: Program) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -15,6 +14,7 @@ import numpy as np
 import pytest
 from c_program import Program
 from random_scenes import random_scene
+from web_program import MISSING, NODE, asked
 
 from conformance.manifest import VECTORS, Accepted, Vector, load
 from conformance.runner import encoders
@@ -30,20 +30,8 @@ from spec.example import document
 ROOT = Path(__file__).resolve().parents[2]
 ENCODER = ROOT / "examples" / "encoder" / "encoder.mjs"
 SERVER = Path(__file__).with_name("encode_example.mjs")
-NODE = shutil.which("node")
-needs_node = pytest.mark.skipif(NODE is None, reason="there is no node here, so the encoder is not tested")
 
 FILES = [v for v in load().vectors if isinstance(v.expectation, Accepted) and v.operation == "decode"]
-LARGEST = 8_000
-# The smallest files of each feature. test_all_files has all files, and the manual a scene that was learnt.
-SAMPLE = {
-    vector.id: vector
-    for feature in load().features
-    for vector in sorted(
-        (v for v in FILES if feature in v.features and v.klass == "valid"), key=lambda v: v.input.size
-    )[:2]
-    if vector.input.size < LARGEST
-}
 # What Annex B says how to choose.
 CHOSEN = {
     *("mask_model", "cell_shift", "position_model", "position_forms"),
@@ -62,22 +50,17 @@ Encoder = Callable[[dict[str, Any]], bytes]
 def encode(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Encoder]:
     """The file that the example makes of a scene as text. ValueError: what it refuses. One process makes all files."""
     if NODE is None:
-        pytest.skip("there is no node here")
+        pytest.skip(MISSING)
     path = tmp_path_factory.mktemp("encoder") / "scene"
-    with subprocess.Popen([NODE, SERVER], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as server:
-        asks, answers = server.stdin, server.stdout
-        assert asks is not None
-        assert answers is not None
+    with asked(SERVER) as ask:
 
-        def ask(scene: dict[str, Any]) -> bytes:
+        def encoded(scene: dict[str, Any]) -> bytes:
             path.write_text(json.dumps(scene), encoding="utf-8")
-            print(path, file=asks, flush=True)
-            if said := json.loads(answers.readline()):
+            if said := ask(str(path)):
                 raise ValueError(said)
             return path.with_name("scene.c3gs").read_bytes()
 
-        yield ask
-        asks.close()
+        yield encoded
 
 
 def _read(vector: Vector) -> bytes:
@@ -87,13 +70,6 @@ def _read(vector: Vector) -> bytes:
 def _of_version_0(data: bytes) -> bytes:
     """The file without the fields of a later minor version, which no encoder of version 0 writes (E15.2-2)."""
     return codec.emit(replace(codec.parse(data).scene, minor=0, later=b""))
-
-
-@pytest.mark.parametrize("vector", SAMPLE.values(), ids=SAMPLE)
-def test_the_same_file(encode: Encoder, vector: Vector) -> None:
-    """SPEC 4.3: one file conforms for a scene with its coding parameters."""
-    data = _read(vector)
-    assert encode(document(data)) == _of_version_0(data)
 
 
 def _chosen(scene: Scene) -> bytes:
@@ -163,7 +139,7 @@ def test_refusals(encode: Encoder) -> None:
             encode(wrong)
 
 
-@needs_node
+@pytest.mark.skipif(NODE is None, reason=MISSING)
 def test_the_commands_of_its_first_lines(tmp_path: Path) -> None:
     """From a file to its scene as text, and back."""
     scene, again = tmp_path / "scene.json", tmp_path / "again.c3gs"

@@ -167,13 +167,6 @@ def test_the_divergence_of_a_wrong_output(ran: Ran) -> None:
         assert line.startswith(start)
 
 
-def test_a_working_folder_that_is_removed(suite: Suite, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "cwd").mkdir()
-    monkeypatch.chdir(tmp_path / "cwd")
-    assert suite.run("cwd-is-gone", "--report", "../report", "--select", "class:valid") == statuses.REJECTED
-    assert (tmp_path / "report" / "report.html").exists()
-
-
 # The parent may ignore signals: a shell does so for background processes.
 PROGRAM = """
 import signal

@@ -7,14 +7,13 @@ from __future__ import annotations
 
 import json
 import re
-import shutil
-import subprocess
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 from c_program import Program
+from web_program import MISSING, NODE, asked
 
 from conformance import cli
 from conformance.manifest import VECTORS, load
@@ -30,29 +29,16 @@ GUIDE = (ROOT / "conformance" / "README.md").read_text(encoding="utf-8")
 SELECTED = "code:1*,2*,3*,40*"
 # A few of these, of every class, for which it is started as the guide says.
 STARTED = "code:1*,205,302,304"
-NODE = shutil.which("node")
-needs_node = pytest.mark.skipif(
-    NODE is None, reason="there is no node here, so the plug-in in JavaScript is not tested"
-)
+needs_node = pytest.mark.skipif(NODE is None, reason=MISSING)
 
 
 @pytest.fixture(scope="module")
 def plugin() -> Iterator[Callable[[Path], dict[str, Any]]]:
     """What the plug-in answers to a file: status and stderr. One process serves all of them."""
     if NODE is None:
-        pytest.skip("there is no node here")
-    with subprocess.Popen([NODE, SERVER], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as server:
-        asks, answers = server.stdin, server.stdout
-        assert asks is not None
-        assert answers is not None
-
-        def ask(file: Path) -> dict[str, Any]:
-            print(json.dumps({"input": str(file), "output": "unused"}), file=asks, flush=True)
-            found: dict[str, Any] = json.loads(answers.readline())
-            return found
-
-        yield ask
-        asks.close()
+        pytest.skip(MISSING)
+    with asked(SERVER) as ask:
+        yield lambda file: ask({"input": str(file), "output": "unused"})
 
 
 @pytest.mark.slow

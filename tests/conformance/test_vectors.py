@@ -29,7 +29,6 @@ from conformance.manifest import (
     VECTORS,
     Accepted,
     GaussiansOf,
-    Manifest,
     ManifestError,
     Rejected,
     Vector,
@@ -38,7 +37,6 @@ from conformance.manifest import (
 )
 from conformance.runner.gaussians import difference
 from conformance.runner.grading import read_output
-from conformance.spec_decoder.__main__ import main as second_main
 from refcodec.bitstream import codec
 from refcodec.bitstream.entropy import select
 from refcodec.bitstream.errors import REGISTRY
@@ -299,22 +297,6 @@ def test_what_is_tested_is_there() -> None:
 # --- commands ---------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("vector", SEEN, ids=lambda v: v.id)
-@pytest.mark.requirement("G14.3-1")
-def test_gaussians(vector: Vector, tmp_path: Path) -> None:
-    e = vector.expectation
-    assert isinstance(e, GaussiansOf)
-    camera, output = tmp_path / "camera.json", tmp_path / "gaussians.json"
-    camera.write_text(json.dumps(e.camera))
-    assert main(["gaussians", str(SUITE.path(vector)), str(camera), str(output)]) == 0
-    expected = (VECTORS / e.path).read_text(encoding="utf-8")
-    assert sha256(expected.encode()) == e.sha256
-    assert len(json.loads(expected)["gaussians"]) > 5
-    assert difference(expected, output.read_text(), e.tolerance) is None
-    camera.write_text("{}")
-    assert main(["gaussians", str(SUITE.path(vector)), str(camera), str(output)]) == 64
-
-
 def test_gaussians_that_differ() -> None:
     g = {
         "anchor": 3,
@@ -375,19 +357,3 @@ def test_the_reconstruct_command(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert json.loads(capsys.readouterr().err.splitlines()[-1])["code"] == 509
     assert not (tmp_path / "none.bin").exists()
     assert "attributes." in trace.read_text()
-
-
-def test_the_second_decoder_s_command(tmp_path: Path) -> None:
-    vector = next(v for v in DECODED if v.id == "valid-packed-weights")
-    e = vector.expectation
-    assert isinstance(e, Accepted)
-    output, trace = tmp_path / "out.bin", tmp_path / "trace.txt"
-    assert second_main(["decode", str(SUITE.path(vector)), str(output)]) == 0
-    assert written_digest(output) == e.digest
-    assert second_main(["decode", str(SUITE.path(vector)), str(output), "--trace", str(trace)]) == 0
-    assert sha256(trace.read_bytes()) == e.trace
-
-
-def test_the_manifest_is_a_manifest() -> None:
-    assert isinstance(SUITE, Manifest)
-    assert SUITE.path(SUITE.vectors[0]) == VECTORS / "valid" / "worked-example.c3gs"

@@ -20,7 +20,7 @@ from web_program import MISSING, NODE, PROGRAM, Decoder, running
 
 from conformance.cases import static
 from conformance.cases.scenes import MAIN_DIMENSIONS
-from conformance.manifest import VECTORS, GaussiansOf, load
+from conformance.manifest import VECTORS, load
 from conformance.runner.gaussians import difference
 from refcodec import statuses
 from refcodec.bitstream import cameras, codec, metadata
@@ -163,19 +163,6 @@ def test_slots_count_kept_offsets(decoder: Decoder) -> None:
             assert np.array_equal(np.array([chunk["low"], chunk["high"]]), [own.min(axis=0), own.max(axis=0)])
         # All were seen from there last.
         assert not any(said["changes"])
-
-
-@pytest.mark.requirement("G14.3-1")
-@pytest.mark.parametrize("vector", [v for v in MANIFEST.vectors if v.operation == "gaussians"], ids=lambda v: v.id)
-def test_the_program_passes_the_vectors_of_renderers(vector: Any, tmp_path: Path) -> None:
-    expected = vector.expectation
-    assert isinstance(expected, GaussiansOf)
-    camera, output = tmp_path / "camera.json", tmp_path / "output"
-    camera.write_text(json.dumps(expected.camera))
-    words = ["gaussians", MANIFEST.path(vector), camera, output]
-    done = subprocess.run([str(NODE), PROGRAM, *words], capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stderr) == (statuses.DONE, "")
-    assert difference((VECTORS / expected.path).read_bytes(), output.read_bytes(), expected.tolerance) is None
 
 
 @pytest.mark.parametrize("text", ["", "[]", "null", '{"rotation": [[1, 0, 0]], "translation": [0, 0, 0]}'])

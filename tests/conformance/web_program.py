@@ -6,7 +6,7 @@ import contextlib
 import json
 import shutil
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -18,22 +18,35 @@ PROGRAM = WEB / "cli.js"
 SERVER = Path(__file__).with_name("ask_web.mjs")
 PACKAGE = json.loads((WEB / "package.json").read_text(encoding="utf-8"))
 NODE = shutil.which("node")
-MISSING = "there is no node here, so the decoder in WebAssembly is not tested"
+MISSING = "there is no node here, so the programs in JavaScript are not tested"
+
+
+@contextlib.contextmanager
+def asked(program: Path) -> Iterator[Callable[[Any], Any]]:
+    """Starts a program of Node that answers each line of JSON with another. Yields a function that asks it."""
+    with subprocess.Popen([str(NODE), program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        asks, answers = process.stdin, process.stdout
+        assert asks is not None
+        assert answers is not None
+
+        def ask(question: Any) -> Any:
+            print(json.dumps(question), file=asks, flush=True)
+            return json.loads(answers.readline())
+
+        yield ask
+        asks.close()
 
 
 class Decoder:
-    """c3gs.js in a process that decodes one file after the other."""
+    """c3gs.js in a process that decodes one file after the other. ask: of `asked`."""
 
-    def __init__(self, process: subprocess.Popen[str], folder: Path) -> None:
-        self._process, self._file = process, folder / "file.c3gs"
+    def __init__(self, ask: Callable[[Any], Any], folder: Path) -> None:
+        self._ask, self._file = ask, folder / "file.c3gs"
 
     def ask(self, data: bytes, way: str = "bytes", **more: Any) -> dict[str, Any]:
         """Returns what ask_web.mjs says of a file. A fault is none of its answers."""
         self._file.write_bytes(data)
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
-        print(json.dumps({"file": str(self._file), "way": way, **more}), file=self._process.stdin, flush=True)
-        said: dict[str, Any] = json.loads(self._process.stdout.readline())
+        said: dict[str, Any] = self._ask({"file": str(self._file), "way": way, **more})
         assert "fault" not in said, said["fault"]
         return said
 
@@ -51,8 +64,5 @@ class Decoder:
 @contextlib.contextmanager
 def running(folder: Path) -> Iterator[Decoder]:
     """Starts the process. folder: for the files that it decodes."""
-    command = [str(NODE), str(SERVER)]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
-        yield Decoder(process, folder)
-        assert process.stdin is not None
-        process.stdin.close()
+    with asked(SERVER) as ask:
+        yield Decoder(ask, folder)
