@@ -4,17 +4,11 @@ from __future__ import annotations
 
 import argparse
 import os
-import re
 from pathlib import Path
 from typing import Any
 
-from refcodec.files.outputs import Kind
-
 from ..manifest import MANIFEST, VECTORS
 from .shared import check_template, positive
-
-# The output of --matrix: planted bugs, each with the vectors that catch it.
-MATRIX = Kind("a matrix of this command", re.compile(rb'\{\n "[^"\n]+": (\{\}|\{\n  "[^"\n]+": ")'))
 
 
 def _fuzz(arguments: argparse.Namespace) -> int:
@@ -44,12 +38,9 @@ def _add_generate(commands: Any) -> None:
 
 
 def _selftest(arguments: argparse.Namespace) -> int:
-    from ..mutants import record, selftest  # noqa: PLC0415
+    from ..mutants import selftest  # noqa: PLC0415
 
-    if arguments.table:
-        print(record.table(selftest.mutants(), record.read()), end="")
-        return 0
-    return selftest.run(arguments.manifest, arguments.jobs, arguments.recorded, arguments.write)
+    return selftest.run(arguments.manifest, arguments.jobs, with_table=arguments.table, new_hints=arguments.hints)
 
 
 def _add_selftest(commands: Any) -> None:
@@ -63,10 +54,12 @@ def _add_selftest(commands: Any) -> None:
     selftest.add_argument(
         "--jobs", type=positive, default=os.cpu_count() or 1, help="number of processes (default: one for each core)"
     )
-    how = selftest.add_mutually_exclusive_group()
-    how.add_argument("--recorded", action="store_true", help="try each bug only on its recorded vector")
-    how.add_argument("--write", action="store_true", help="write the record of the first vector that catches each bug")
-    how.add_argument("--table", action="store_true", help="print the record as a table in Markdown; try nothing")
+    selftest.add_argument(
+        "--table", action="store_true", help="also print the bugs in Markdown, each with the vector that catches it"
+    )
+    selftest.add_argument(
+        "--hints", action="store_true", help="also write the vectors that are tried first on bugs which few catch"
+    )
     selftest.set_defaults(run=_selftest)
 
 

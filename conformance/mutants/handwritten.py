@@ -1,4 +1,4 @@
-"""Wrong decoders that a hurried reader of SPEC.md might write: the list of handwritten.toml as mutants."""
+"""Wrong decoders that a person thought of: the list of handwritten.toml as mutants."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import tomllib
 from functools import cache
 from pathlib import Path
 
-from .mutant import Mutant, definitions, span, text
+from .mutant import Mutant, definitions, planted, span, text
 
 LIST = Path(__file__).with_name("handwritten.toml")
 
@@ -16,7 +16,7 @@ class BugError(ValueError):
     """A bug of the list that cannot be planted."""
 
 
-def plant(name: str, place: str, old: str, new: str, what: str, requirements: list[str]) -> Mutant:
+def plant(name: str, place: str, old: str, new: str, what: str, requirements: tuple[str, ...] = ()) -> Mutant:
     """Returns the mutant with `new` instead of `old` in a function or constant of the blocks.
 
     Raises BugError if `old` does not occur exactly once there, or if the name or the place is not valid.
@@ -28,17 +28,26 @@ def plant(name: str, place: str, old: str, new: str, what: str, requirements: li
     if own.count(old) != 1:
         raise BugError(f"{name}: its text occurs {own.count(old)} times in {place}")
     at = first + own.index(old)
-    line = text()[:at].count("\n") + 1
-    source = text()[:at] + new + text()[at + len(old) :]
-    return Mutant(name, place, line, old, new, what, source, tuple(requirements))
+    return planted(name, place, (at, at + len(old)), new, what, requirements)
+
+
+def read(name: str, place: str, entry: str) -> Mutant:
+    """Returns the mutant of an entry of the list. Raises BugError."""
+    head, *lines = entry.splitlines()
+    requirements, colon, what = head.partition(": ")
+    old, new = ("\n".join(line[2:] for line in lines if line[:2] == mark) for mark in ("- ", "+ "))
+    if not colon or [line[:2] for line in lines] != ["- "] * (old.count("\n") + 1) + ["+ "] * (new.count("\n") + 1):
+        raise BugError(f"{name} is not requirements and a text, lines with - and lines with +")
+    return plant(name, place, old, new, what, tuple(requirements.split(", ")))
 
 
 @cache
 def bugs() -> tuple[Mutant, ...]:
     """Returns the mutants of the list. Raises BugError if one cannot be planted, or if two have the same name."""
     mutants: dict[str, Mutant] = {}
-    for bug in tomllib.loads(LIST.read_text(encoding="utf-8"))["bug"]:
-        if bug["id"] in mutants:
-            raise BugError(f"{bug['id']} occurs twice")
-        mutants[bug["id"]] = plant(bug["id"], bug["in"], bug["old"], bug["new"], bug["what"], bug["breaks"])
+    for place, entries in tomllib.loads(LIST.read_text(encoding="utf-8")).items():
+        for name, entry in entries.items():
+            if name in mutants:
+                raise BugError(f"{name} occurs twice")
+            mutants[name] = read(name, place, entry)
     return tuple(mutants.values())

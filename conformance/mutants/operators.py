@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import ast
 import copy
-import hashlib
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import cache
 from itertools import pairwise
 
-from .mutant import Mutant, definitions, span, text
+from .mutant import Mutant, Names, definitions, planted, span, text
 
 # One in SHARE of the changes of a function or constant is taken, but at least LEAST.
 SHARE, LEAST = 10, 1
@@ -156,30 +155,26 @@ def _inside(node: ast.AST, scope: str) -> Iterator[tuple[str, ast.AST]]:
         yield from _inside(child, inner)
 
 
-def points(place: str) -> list[Mutant]:
+@cache
+def points(place: str) -> tuple[Mutant, ...]:
     """Returns all changes of a function or constant of the blocks."""
     mutants: list[Mutant] = []
-    times: dict[str, int] = defaultdict(int)
+    names = Names(SEED)
     for scope, node in _inside(definitions()[place], place):
         for operator in OPERATORS:
             if operator is arguments and place == "ERRORS":
                 # The class, clause and meaning of an error are reported, but not judged.
                 continue
             for what, change in operator(node):
-                assert isinstance(node, ast.expr | ast.stmt)
                 first, end = span(node)
-                old, new = text()[first:end], ast.unparse(ast.fix_missing_locations(change))
-                # The identifier depends on the place of the change, and not on other changes of the blocks.
-                key = f"{scope}\n{operator.__name__}\n{old}\n{new}"
-                times[key] += 1
-                digest = hashlib.sha256(f"{SEED}\n{key}\n{times[key]}".encode()).hexdigest()
-                source = text()[:first] + (new if isinstance(node, ast.stmt) else f"({new})") + text()[end:]
-                name = f"{scope}-{operator.__name__}-{digest[:8]}"
-                mutants.append(Mutant(name, place, node.lineno, old, new, what, source))
-    return mutants
+                new = ast.unparse(ast.fix_missing_locations(change))
+                name = names.name(scope, operator.__name__, text()[first:end], new)
+                new = new if isinstance(node, ast.stmt) else f"({new})"
+                mutants.append(planted(name, place, (first, end), new, what))
+    return tuple(mutants)
 
 
-def _rank(mutants: list[Mutant]) -> list[Mutant]:
+def _rank(mutants: Iterable[Mutant]) -> list[Mutant]:
     """Returns the changes of a place by hash, one of each operator before the second one of any."""
     times: dict[str, int] = defaultdict(int)
     keyed = []

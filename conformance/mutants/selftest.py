@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import ast
+import json
 import multiprocessing
 import signal
 import sys
@@ -16,57 +16,49 @@ from typing import TypeVar
 
 from tqdm import tqdm
 
-from conformance.manifest import Accepted, Manifest, ManifestError, Rejected, load
+from conformance.manifest import Accepted, Manifest, Rejected, load
+from refcodec.files.stage import write_file
 
-from . import handwritten, operators, record
-from .equivalent import PROOFS
-from .loading import changed
-from .loading import load as load_decoder
-from .mutant import Mutant
-from .record import Caught
-from .trial import Case, Grade, Outcome, grade, outcomes, visit
+from . import handwritten, misreadings, operators
+from .exempt import GAPS, PROOFS
+from .loading import unchanged
+from .mutant import Mutant, around, definitions, planted, span
+from .trial import Case, Grade, Outcome, grade, outcomes
 
 T = TypeVar("T")
+# Bug -> the vectors that catch it, each with what was wrong.
+Catchers = Mapping[str, Sequence[tuple[str, str]]]
 
 
 class SelfTestError(Exception):
-    """The self-test says nothing: there are no vectors, the unchanged decoder fails, or the grader is wrong."""
-
-
-@cache
-def decoder(mutant: Mutant) -> tuple[str, str]:
-    """Returns the place of a mutant and its syntax tree there, as text. Mutants with the same ones are the same."""
-    return mutant.place, ast.dump(ast.parse(mutant.statement))
+    """The self-test has no result: there are no vectors, the unchanged decoder fails, or the grader is wrong."""
 
 
 @cache
 def mutants() -> tuple[Mutant, ...]:
-    """All planted bugs. Those by hand come first, and one of the operators that is one of these is left out."""
-    hand = handwritten.bugs()
-    known = {decoder(mutant) for mutant in hand}
-    return *hand, *(mutant for mutant in operators.sample() if decoder(mutant) not in known)
+    """Returns all mutants, each once: those by hand, the misreadings, and a sample of all small changes."""
+    every = (*handwritten.bugs(), *misreadings.mutants(), *operators.sample())
+    return tuple({mutant.tree: mutant for mutant in reversed(every)}.values())[::-1]
 
 
 def cases(manifest: Manifest) -> list[Case]:
-    """The vectors that a decoder is judged by, without those of cameras."""
-    found = []
+    """Returns the vectors that a decoder is judged by, without those of cameras. Raises SelfTestError if none is."""
+    made = []
     for vector in manifest.vectors:
         if vector.operation == "decode":
             expected = vector.expectation
             digests, error = {}, None
             if isinstance(expected, Accepted):
-                # The second decoder does not tell the head's.
-                digests = {
-                    "whole": expected.digest,
-                    **{name: value for name, value in expected.parts.items() if name != "head"},
-                }
+                # The second decoder does not give that of the head.
+                parts = {name: value for name, value in expected.parts.items() if name != "head"}
+                digests = {"whole": expected.digest, **parts}
             elif isinstance(expected, Rejected):
                 error = expected.code, expected.offset
             data, proves = manifest.path(vector).read_bytes(), frozenset(vector.requirements)
-            found.append(Case(vector.id, data, digests, error, proves, vector.budget.seconds, vector.budget.bytes))
-    if not found:
+            made.append(Case(vector.id, data, digests, error, proves, vector.budget.seconds, vector.budget.bytes))
+    if not made:
         raise SelfTestError("there is no vector to test with")
-    return found
+    return made
 
 
 # --- the grader tested ------------------------------------------------------------------------------------------------
@@ -86,9 +78,9 @@ def fakes() -> list[Mutant]:
         "refuses-without-code": "raise Refused('no.such', 0)",
         "does-not-load": "return (",
     }
-    text = "ERRORS = {'section.crc': (312,)}\nclass Refused(Exception): pass\ndef DECODE_FILE(data):\n    {}\n"
+    at = span(definitions()["DECODE_FILE"])
     return [
-        Mutant(name, "DECODE_FILE", 1, "", body, "no decoder", text.replace("{}", body))
+        planted(name, "DECODE_FILE", at, f"def DECODE_FILE(data):\n    {body}", "no decoder")
         for name, body in bodies.items()
     ]
 
@@ -134,6 +126,10 @@ def check_grader(all_cases: Sequence[Case], judge: Grade) -> None:
 BATCH = 8
 # Seconds of processor time: more than any budget has, and what a decoder that is none is given.
 SECONDS, FAKE_SECONDS = 3600.0, 0.2
+# An exempt mutant is tried only on vectors of at most so many bytes: on all of them it would take minutes.
+EXEMPT_BYTES = 1400
+# Made by --hints: the vectors of bugs that pass at least so many others before. These make the self-test quick.
+HINTS, LATE = Path(__file__).with_name("hints.json"), 40
 
 _cases: dict[str, Case] = {}
 
@@ -142,23 +138,46 @@ def _start(all_cases: Sequence[Case]) -> None:
     # Ctrl-C is for the parent.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     _cases.update((case.id, case) for case in all_cases)
-    # What is compiled here is not compiled again in each child.
-    load_decoder(None)
+    # What is loaded here is not loaded again in each child.
+    unchanged()
 
 
 def _try(task: tuple[Mutant | None, list[str]], stop: Grade | None, seconds: float) -> list[Outcome]:
     mutant, names = task
-    found = [_cases[name] for name in names]
-    return outcomes(mutant, [replace(case, seconds=min(case.seconds, seconds)) for case in found], stop)
+    own = [_cases[name] for name in names]
+    return outcomes(mutant, [replace(case, seconds=min(case.seconds, seconds)) for case in own], stop)
 
 
-def _visit(name: str) -> tuple[int, frozenset[str] | None]:
-    return visit(_cases[name].data)
-
-
-def _progress(found: Iterable[T], total: int, what: str) -> Iterable[T]:
-    bar: Iterable[T] = tqdm(found, total=total, desc=what, unit="", file=sys.stderr, leave=False)
+def _progress(items: Iterable[T], total: int, what: str) -> Iterable[T]:
+    bar: Iterable[T] = tqdm(items, total=total, desc=what, unit="", file=sys.stderr, leave=False, disable=None)
     return bar
+
+
+def read_hints() -> dict[str, str]:
+    """Returns the vectors that catch bugs which the order by itself tries on many others first, by bug."""
+    vectors = json.loads(HINTS.read_text(encoding="utf-8"))
+    return {bug: vector for vector, bugs in vectors.items() for bug in bugs.split()}
+
+
+def hints_text(made: Sequence[Mutant], all_cases: Sequence[Case], catchers: Catchers) -> str:
+    """Returns the hints that follow from the vectors that catch some mutants, as JSON with a line for each vector."""
+    late: dict[str, list[str]] = {}
+    for m in made:
+        for vector, _ in catchers[m.id]:
+            if [c.id for c in order(m, all_cases)].index(vector) >= LATE:
+                late.setdefault(vector, []).append(m.id)
+    return "{\n" + ",\n".join(f'"{vector}": "{" ".join(bugs)}"' for vector, bugs in sorted(late.items())) + "\n}\n"
+
+
+def order(mutant: Mutant, all_cases: Iterable[Case], hint: str | None = None) -> list[Case]:
+    """Returns the vectors that a mutant is tried on. Their order decides nothing but the time.
+
+    The hint comes first, then the vectors for what the mutant breaks, and of both kinds the smallest ones.
+    """
+    broken = set(mutant.requirements) or around(mutant.place)
+    exempt = mutant.id in PROOFS or mutant.id in GAPS
+    own = [c for c in all_cases if not exempt or len(c.data) <= EXEMPT_BYTES]
+    return sorted(own, key=lambda c: (c.id != hint, not broken & c.requirements, len(c.data)))
 
 
 class Trials:
@@ -177,73 +196,53 @@ class Trials:
         first_only: bool = False,
         seconds: float = SECONDS,
     ) -> Iterator[list[tuple[str, str]]]:
-        """For each task, a decoder and vectors: the vectors that catch it, and what was wrong.
+        """Yields for each task, a decoder and vectors, the vectors that catch it, and what was wrong.
 
-        first_only: the first of them alone. seconds: bounds those of the vectors' budgets.
+        first_only: only the first of them. seconds: bounds those of the vectors' budgets.
         """
         # The judge is always asked here too: one of a test's own may not be known to the processes.
-        found = self._pool.imap(partial(_try, stop=grade if first_only else None, seconds=seconds), tasks)
-        for (_, names), made in zip(tasks, _progress(found, len(tasks), what), strict=True):
+        results = self._pool.imap(partial(_try, stop=grade if first_only else None, seconds=seconds), tasks)
+        for (_, names), made in zip(tasks, _progress(results, len(tasks), what), strict=True):
             judged = [
                 (name, self._judge(self._by_name[name], outcome)) for name, outcome in zip(names, made, strict=False)
             ]
             yield [(name, wrong) for name, wrong in judged if wrong]
 
-    def check_decoder(self) -> None:
-        """SelfTestError if the second decoder itself fails a vector."""
-        names = list(self._by_name)
+    def check_decoder(self, names: list[str]) -> None:
+        """Raises SelfTestError if the second decoder itself fails one of some vectors, which then catch nothing."""
         tasks = [(None, names[i : i + BATCH]) for i in range(0, len(names), BATCH)]
         for wrong in self.tries(tasks, "the unchanged decoder"):
             for name, text in wrong:
                 raise SelfTestError(f"the second decoder, unchanged, fails {name}: {text}")
 
     def check_fakes(self) -> None:
-        """SelfTestError if a decoder that is none passes the first vector that accepts, or the first that refuses."""
+        """Raises SelfTestError if a program that does not decode passes a vector of either kind."""
         first = [
             next((c.id for c in self._by_name.values() if (c.error is None) == accepts), None)
             for accepts in (True, False)
         ]
         names = [name for name in first if name]
         made = fakes()
-        found = self.tries([(fake, names) for fake in made], "decoders that are none", seconds=FAKE_SECONDS)
-        for fake, wrong in zip(made, found, strict=True):
+        results = self.tries([(fake, names) for fake in made], "decoders that are none", seconds=FAKE_SECONDS)
+        for fake, wrong in zip(made, results, strict=True):
             if len(wrong) != len(names):
                 raise SelfTestError(f"a decoder that {fake.id} passes one of {names}")
 
-    def order(self, made: Sequence[Mutant]) -> dict[str, list[str]]:
-        """For each mutant the vectors that can catch it.
-
-        Those for a requirement that it breaks come before the others, and of both the cheapest first. The cost is
-        counted in calls of the unchanged decoder, which are the same on every machine. A vector for which that does
-        not call what the mutant changes is left out: the mutant passes it.
-        """
-        names = list(self._by_name)
-        visits = list(_progress(self._pool.imap(_visit, names), len(names), "the vectors' costs"))
-        return {
-            m.id: likely(m, [(*seen, self._by_name[name]) for name, seen in zip(names, visits, strict=True)])
-            for m in made
-        }
-
-
-def likely(mutant: Mutant, visits: Sequence[tuple[int, frozenset[str] | None, Case]]) -> list[str]:
-    """The order of Trials.order, for one mutant; visits: calls, functions called (None: any), case."""
-    places, broken = changed(mutant), set(mutant.requirements)
-
-    def reached(called: frozenset[str] | None) -> bool:
-        return places is None or called is None or bool(places & called)
-
-    found = [(not broken & case.requirements, calls, case.id) for calls, called, case in visits if reached(called)]
-    return [name for *_, name in sorted(found)]
+    def catchers(self, made: Sequence[Mutant]) -> Catchers:
+        """Returns for each mutant the first vector that catches it, if one does."""
+        hints = read_hints()
+        tasks = [(m, [c.id for c in order(m, self._by_name.values(), hints.get(m.id))]) for m in made]
+        results = self.tries(tasks, "planted bugs", first_only=True)
+        return {m.id: wrong for m, wrong in zip(made, results, strict=True)}
 
 
 @contextmanager
 def trials(all_cases: Sequence[Case], jobs: int, judge: Grade = grade) -> Iterator[Trials]:
-    """Trials whose grader, decoder and treatment of crashes have been checked; SelfTestError if one is wrong."""
+    """Yields trials whose grader and treatment of crashes have been checked. Raises SelfTestError."""
     check_grader(all_cases, judge)
     with multiprocessing.get_context("spawn").Pool(jobs, _start, (all_cases,)) as pool:
         made = Trials(pool, all_cases, judge)
         made.check_fakes()
-        made.check_decoder()
         yield made
 
 
@@ -252,69 +251,78 @@ def trials(all_cases: Sequence[Case], jobs: int, judge: Grade = grade) -> Iterat
 
 @dataclass(frozen=True)
 class Score:
-    """What the vectors make of the bugs.
+    """What the vectors make of the mutants.
 
-    caught: bug -> (first vector, what was wrong). survivors: bugs that no vector catches. refuted: proved to be none,
-    and caught.
+    bugs: those that the vectors must catch. survivors: bugs that none catches. refuted: exempt mutants that are caught.
     """
 
-    caught: Caught
+    bugs: list[Mutant]
     survivors: list[Mutant]
-    refuted: list[str]
+    refuted: list[Mutant]
 
     @property
     def right(self) -> bool:
-        """Whether the suite catches all, and no proof is wrong."""
+        """Whether the suite catches all bugs, and no exemption is wrong."""
         return not self.survivors and not self.refuted
 
 
-def score(made: Sequence[Mutant], catchers: Mapping[str, Sequence[tuple[str, str]]]) -> Score:
-    """The score; catchers: for each bug the vectors that catch it, in order."""
-    caught = {m.id: catchers[m.id][0] for m in made if catchers[m.id]}
-    survivors = [m for m in made if m.id not in caught and m.id not in PROOFS]
-    return Score(caught, survivors, [m.id for m in made if m.id in caught and m.id in PROOFS])
+def score(made: Sequence[Mutant], catchers: Catchers) -> Score:
+    """Returns the score of some mutants."""
+    bugs = [m for m in made if m.id not in PROOFS and m.id not in GAPS]
+    refuted = [m for m in made if m not in bugs and catchers[m.id]]
+    return Score(bugs, [m for m in bugs if not catchers[m.id]], refuted)
 
 
-def show(result: Score, made: Sequence[Mutant]) -> None:
+def _cell(words: str) -> str:
+    """Returns text for a cell of a table in Markdown."""
+    line = " ".join(words.split())
+    return (line if len(line) <= 100 else line[:97] + "...").replace("|", "\\|")
+
+
+def table(made: Sequence[Mutant], catchers: Catchers) -> str:
+    """Returns a table in Markdown of all mutants, with the change and the first vector that catches each."""
+    lines = ["| bug | requirements | mistake | text | becomes | first vector | outcome |", "|" + "---|" * 7]
+    for m in made:
+        reason = PROOFS.get(m.id) or GAPS.get(m.id, "")
+        vector, wrong = next(iter(catchers[m.id]), ("**none**", reason))
+        change = (f"`{_cell(m.old)}`", f"`{_cell(m.new)}`")
+        lines.append(f"| {' | '.join((m.id, ', '.join(m.requirements), m.what, *change, vector, _cell(wrong)))} |")
+    return "\n".join(lines) + "\n"
+
+
+def show(result: Score, catchers: Catchers) -> None:
     """Prints the score and what is wrong."""
-    bugs = [m for m in made if m.id not in PROOFS]
     for m in result.survivors:
-        print(f"survivor: {m.id}, {m.place}, line {m.line}: {m.what}\n  {m.old!r}\n  {m.new!r}")
-    for name in result.refuted:
-        print(f"no equivalent: {name} is caught by {result.caught[name][0]}: {result.caught[name][1]}")
-    hand, caught = sum(bool(m.requirements) for m in bugs), len(bugs) - len(result.survivors)
-    share = 100 * caught / len(bugs)
-    print(f"{len(bugs)} planted bugs, {hand} by hand, {len(bugs) - hand} by operators: {caught} caught, {share:.1f} %")
+        print(f"survivor: {m.id}, SPEC.md line {m.line}: {m.what}\n  {m.old!r}\n  {m.new!r}")
+    for m in result.refuted:
+        vector, wrong = catchers[m.id][0]
+        print(f"{m.id} is not exempt: {vector} catches it: {wrong}")
+    hand = len({m.id for m in handwritten.bugs()} & {m.id for m in result.bugs})
+    caught = len(result.bugs) - len(result.survivors)
+    share = 100 * caught / len(result.bugs)
+    by = f"{hand} by hand, {len(result.bugs) - hand} by operators"
+    print(f"{len(result.bugs)} planted bugs, {by}: {caught} caught, {share:.1f} %")
 
 
-def run(manifest: Path, jobs: int, recorded: bool, write: bool) -> int:
+def run(manifest: Path, jobs: int, *, with_table: bool = False, new_hints: bool = False) -> int:
     """Tries every planted bug on the vectors until one catches it, and prints the score.
 
-    recorded: tries each bug only on the vector that is recorded as the first to catch it. write: renews the record.
-    Returns 0 if all are caught, else 1. Raises ManifestError and OSError for the manifest.
+    with_table: also prints a table of all mutants. new_hints: also writes the hints. Returns 0 if all bugs are caught,
+    else 1. Raises ManifestError and OSError.
     """
-    suite = load(manifest)
-    bugs: Sequence[Mutant] = mutants()
-    known = record.read() if recorded else {}
+    made, suite = mutants(), load(manifest)
     try:
-        wanted = {vector for vector, _ in known.values()}
-        all_cases = [c for c in cases(suite) if not recorded or c.id in wanted]
-        missing = wanted - {c.id for c in all_cases}
-        if missing:
-            raise ManifestError(f"{manifest}: vectors of the record are missing: {', '.join(sorted(missing)[:3])}")
+        all_cases = cases(suite)
         with trials(all_cases, jobs) as test:
-            if recorded:
-                bugs = [m for m in bugs if m.id in known]
-                order = {m.id: [known[m.id][0]] for m in bugs}
-            else:
-                order = test.order(bugs)
-            tries = test.tries([(m, order[m.id]) for m in bugs], "planted bugs", first_only=True)
-            catchers = {m.id: wrong for m, wrong in zip(bugs, tries, strict=True)}
+            catchers = test.catchers(made)
+            test.check_decoder(sorted({vector for wrong in catchers.values() for vector, _ in wrong}))
     except SelfTestError as error:
         print(error, file=sys.stderr)
         return 1
-    result = score(bugs, catchers)
-    if write:
-        record.write(bugs, result.caught)
-    show(result, bugs)
+    result = score(made, catchers)
+    if new_hints:
+        write_file(HINTS, hints_text(made, all_cases, catchers).encode())
+    if with_table:
+        print(table(made, catchers))
+    show(result, catchers)
     return 0 if result.right else 1

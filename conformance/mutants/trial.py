@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-import gc
 import json
 import os
 import resource
 import signal
-import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from types import CodeType, FrameType
 
 from ..spec_decoder import PARTS, Names, verdict
 from . import loading
-from .mutant import PATH, Mutant
+from .mutant import Mutant
 
 # What the interpreter has taken before a file is looked at, in bytes of address space.
 INTERPRETER_BYTES = 128 << 20
-# More than this a vector's cost is not told apart.
-MOST_CALLS = 1 << 18
 
 
 @dataclass(frozen=True)
@@ -117,52 +112,24 @@ def _fork(mutant: Mutant | None, cases: Sequence[Case], stop: Grade | None) -> l
             os._exit(0)
     os.close(write)
     with os.fdopen(read, encoding="utf-8") as lines:
-        found = [Outcome(**json.loads(line)) for line in lines if line.endswith("\n")]
+        outcomes = [Outcome(**json.loads(line)) for line in lines if line.endswith("\n")]
     _, status = os.waitpid(pid, 0)
-    if len(found) == len(cases) or (found and stop and stop(cases[len(found) - 1], found[-1])):
-        return found
+    if len(outcomes) == len(cases) or _stops(stop, cases, outcomes):
+        return outcomes
     hang = os.WIFSIGNALED(status) and os.WTERMSIG(status) == signal.SIGPROF
-    return [*found, HANG if hang else Outcome("crash", text=f"status {status}")]
+    return [*outcomes, HANG if hang else Outcome("crash", text=f"status {status}")]
+
+
+def _stops(stop: Grade | None, cases: Sequence[Case], outcomes: Sequence[Outcome]) -> bool:
+    return bool(stop and outcomes and stop(cases[len(outcomes) - 1], outcomes[-1]))
 
 
 def outcomes(mutant: Mutant | None, cases: Sequence[Case], stop: Grade | None = None) -> list[Outcome]:
-    """The outcome of each case, in order; with `stop` only up to the first that it finds wrong.
+    """Returns the outcome of each case, in order; with `stop` only up to the first that this judges to be wrong.
 
     To be called in a process of one thread, which is forked.
     """
-    found: list[Outcome] = []
-    while len(found) < len(cases) and not (found and stop and stop(cases[len(found) - 1], found[-1])):
-        found += _fork(mutant, cases[len(found) :], stop)
-    return found
-
-
-class _EnoughError(Exception):
-    """MOST_CALLS have been counted."""
-
-
-def visit(data: bytes) -> tuple[int, frozenset[str] | None]:
-    """How many calls the unchanged decoder makes for a file, and of what functions: a vector's cost on any machine.
-
-    Beyond MOST_CALLS it is not counted further; None stands for all functions then.
-    """
-    decoder, calls = loading.load(None), 0
-    codes: set[CodeType] = set()
-
-    def count(frame: FrameType, event: str, _argument: object) -> None:
-        nonlocal calls
-        calls += event in ("call", "c_call")
-        codes.add(frame.f_code)
-        if calls == MOST_CALLS:
-            raise _EnoughError
-
-    # The collector comes when it likes, and may call what others have hung on it.
-    gc.disable()
-    sys.setprofile(count)
-    try:
-        decode(decoder, data)
-    except _EnoughError:
-        return calls, None
-    finally:
-        sys.setprofile(None)
-        gc.enable()
-    return calls, frozenset(code.co_qualname for code in codes if code.co_filename == PATH)
+    every: list[Outcome] = []
+    while len(every) < len(cases) and not _stops(stop, cases, every):
+        every += _fork(mutant, cases[len(every) :], stop)
+    return every

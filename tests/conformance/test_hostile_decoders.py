@@ -23,8 +23,6 @@ import pytest
 from small_suite import FAKE, ROOT, Suite, build, modes
 
 from conformance import cli
-from conformance.manifest import ManifestError
-from conformance.mutants import record as bugs
 from refcodec import statuses
 
 NO_OUTPUT = "crash: exit status 0 without an output file"
@@ -244,19 +242,6 @@ def test_documents_of_others(suite: Suite, tmp_path: Path, capsys: pytest.Captur
         assert (out, err.count("\n")) == ("", 1), words[0]
         assert len(err) < 1000
         assert printable(err)
-    with pytest.raises(ManifestError):
-        bugs.read(path)
-
-
-def test_the_record_of_planted_bugs(suite: Suite, tmp_path: Path) -> None:
-    """A record of another form or of another suite is refused."""
-    path = tmp_path / "caught.json"
-    for data in (b'{"bug": ["a-vector"]}', b'{"bug": 1}'):
-        path.write_bytes(data)
-        with pytest.raises(ManifestError):
-            bugs.read(path)
-    manifest = str(suite.folder / "manifest.json")
-    assert cli.main(["selftest", "--recorded", "--manifest", manifest]) == statuses.DAMAGED_SUITE
 
 
 def test_a_report_that_steers(suite: Suite, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

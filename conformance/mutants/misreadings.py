@@ -1,0 +1,295 @@
+"""Wrong decoders of a reader of SPEC.md who leaves a check out, weakens it or moves it, or computes otherwise.
+
+A misreading is applied wherever the blocks have a place for it. A check is a call of REQUIRE, or an `if` that returns
+an error. A mutant breaks the requirements of the errors of its checks, or else those that name its function.
+"""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cache
+from itertools import pairwise
+from typing import Any
+
+from .mutant import Mutant, Names, definitions, demanded, planted, span, text
+
+SEED = "c3gs misreadings 0"
+
+
+@dataclass(frozen=True)
+class Edit:
+    """A new text at a span of characters. errors: of the checks that change."""
+
+    at: tuple[int, int]
+    new: str
+    what: str
+    errors: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Check:
+    """A check. conditions: expressions that decide it. passing: their value for a right file. offset: of the error."""
+
+    conditions: list[ast.expr]
+    passing: bool
+    error: str
+    offset: ast.expr | None
+
+
+Misreading = Callable[[ast.stmt], Iterator[Edit]]
+
+
+def _text(node: ast.AST) -> str:
+    first, end = span(node)
+    return text()[first:end]
+
+
+def _names(nodes: Iterable[ast.AST], context: type[ast.expr_context]) -> set[str]:
+    every = (n for node in nodes for n in ast.walk(node))
+    return {n.id for n in every if isinstance(n, ast.Name) and isinstance(n.ctx, context)}
+
+
+def _bodies(node: ast.AST) -> Iterator[list[ast.stmt]]:
+    """Yields all runs of statements inside a node."""
+    for each in ast.walk(node):
+        for body in (getattr(each, "body", None), getattr(each, "orelse", None)):
+            if isinstance(body, list):
+                yield body
+
+
+def _conditions(condition: ast.expr, above: Sequence[ast.stmt]) -> list[ast.expr]:
+    """Returns a condition, or what is assigned to its name above it."""
+    if not isinstance(condition, ast.Name):
+        return [condition]
+    values: list[ast.expr] = []
+    for statement in reversed(above):
+        every = (node for node in ast.walk(statement) if isinstance(node, ast.Assign))
+        own = [node for node in every if _names(node.targets, ast.Store) == {condition.id}]
+        values += [node.value for node in own]
+        if isinstance(statement, ast.Assign) and own:
+            break
+    return values or [condition]
+
+
+def _check(statement: ast.stmt, above: Sequence[ast.stmt] = ()) -> Check | None:
+    match statement:
+        case ast.Expr(ast.Call(ast.Name("REQUIRE"), [condition, ast.Constant(str(error)), offset])):
+            return Check(_conditions(condition, above), True, error, offset)
+        case ast.If(condition, [ast.Return(ast.Constant(str(error)))], []) if error in demanded()[0]:
+            return Check([condition], False, error, None)
+    return None
+
+
+def checks(statement: ast.stmt) -> list[Check]:
+    """Returns the checks of a function."""
+    found = (_check(each, body[:i]) for body in _bodies(statement) for i, each in enumerate(body))
+    return [check for check in found if check]
+
+
+def _inside(statement: ast.stmt, kind: type[ast.expr]) -> Iterator[tuple[Any, str]]:
+    """Yields the nodes of a kind in the conditions of checks, each with the error."""
+    for check in checks(statement):
+        for condition in check.conditions:
+            yield from ((node, check.error) for node in ast.walk(condition) if isinstance(node, kind))
+
+
+# --- checks -----------------------------------------------------------------------------------------------------------
+
+
+def unchecked(statement: ast.stmt) -> Iterator[Edit]:
+    """A check is left out."""
+    for check in checks(statement):
+        for condition in check.conditions:
+            yield Edit(span(condition), str(check.passing), "missing check", (check.error,))
+
+
+def split(statement: ast.stmt) -> Iterator[Edit]:
+    """Of a range only one end is checked."""
+    for node, error in _inside(statement, ast.Compare):
+        if len(node.ops) > 1:
+            (first, end), low, high = span(node), span(node.comparators[-2])[1], span(node.comparators[0])[0]
+            yield Edit((first, end), text()[high:end], "missing check of the first bound", (error,))
+            yield Edit((first, end), text()[first:low], "missing check of the last bound", (error,))
+
+
+def part(statement: ast.stmt) -> Iterator[Edit]:
+    """One of several conditions is left out."""
+    for node, error in _inside(statement, ast.BoolOp):
+        for value in node.values:
+            rest = [f"({_text(other)})" for other in node.values if other is not value]
+            joined = (" and " if isinstance(node.op, ast.And) else " or ").join(rest)
+            yield Edit(span(node), joined, "missing condition", (error,))
+
+
+_MOVED: dict[type[ast.cmpop], ast.cmpop] = {
+    ast.Lt: ast.LtE(), ast.LtE: ast.Lt(), ast.Gt: ast.GtE(), ast.GtE: ast.Gt()
+}  # fmt: skip
+
+
+def moved(statement: ast.stmt) -> Iterator[Edit]:
+    """A bound that belongs to a range is excluded, or the other way round."""
+    for node, error in _inside(statement, ast.Compare):
+        for i, operator in enumerate(node.ops):
+            if type(operator) in _MOVED:
+                operators = [*node.ops[:i], _MOVED[type(operator)], *node.ops[i + 1 :]]
+                new = ast.unparse(ast.Compare(node.left, operators, node.comparators))
+                yield Edit(span(node), new, "off by one", (error,))
+
+
+def listed(statement: ast.stmt) -> Iterator[Edit]:
+    """Of the items that a loop goes through, one is left out, or two neighbours are swapped."""
+    for node in ast.walk(statement):
+        if isinstance(node, ast.For) and isinstance(node.iter, ast.Tuple):
+            items, errors = [_text(item) for item in node.iter.elts], tuple(check.error for check in checks(node))
+            for i in range(len(items)):
+                rest, swap = items[:i] + items[i + 1 :], [*items[: i - 1], *items[i - 1 : i + 1][::-1], *items[i + 1 :]]
+                yield Edit(span(node.iter), f"({', '.join(rest)},)", "missing item", errors)
+                if i:
+                    yield Edit(span(node.iter), f"({', '.join(swap)})", "wrong order of items", errors)
+
+
+def offset(statement: ast.stmt) -> Iterator[Edit]:
+    """The offset is that of the whole, not that of the part."""
+    for check in checks(statement):
+        if isinstance(check.offset, ast.BinOp) and isinstance(check.offset.op, ast.Add):
+            yield Edit(span(check.offset), _text(check.offset.left), "wrong offset: the first term", (check.error,))
+
+
+def _errors(statement: ast.stmt) -> tuple[str, ...]:
+    """Returns the errors of a statement that only checks, such as a loop of checks, and nothing for another one."""
+    if check := _check(statement):
+        return (check.error,)
+    if not isinstance(statement, ast.For | ast.If) or statement.orelse:
+        return ()
+    inner = [() if isinstance(each, ast.Assign) else _errors(each) or ("",) for each in statement.body]
+    return () if ("",) in inner else tuple(dict.fromkeys(error for errors in inner for error in errors))
+
+
+def _units(body: list[ast.stmt]) -> Iterator[tuple[list[ast.stmt], ast.stmt, tuple[str, ...]]]:
+    """Yields the statements of a run, each with the assignments just above it, and its errors if it only checks."""
+    above: list[ast.stmt] = []
+    for statement in body:
+        if isinstance(statement, ast.Assign):
+            above = [*above, statement]
+        else:
+            yield above, statement, _errors(statement)
+            above = []
+
+
+def swapped(statement: ast.stmt) -> Iterator[Edit]:
+    """Two neighbouring checks are made in the other order."""
+    for body in _bodies(statement):
+        for (above, one, errors), (between, two, others) in pairwise(_units(body)):
+            if errors and others:
+                first, second = [*above, one], [*between, two]
+                needed = (_names(above, ast.Store) - _names(between, ast.Store)) & _names(second, ast.Load)
+                order = [*above, *second, one] if needed else [*second, *first]
+                new = f"\n{' ' * first[0].col_offset}".join(map(_text, order))
+                yield Edit((span(first[0])[0], span(two)[1]), new, "wrong order of checks", errors + others)
+
+
+# --- arithmetic -------------------------------------------------------------------------------------------------------
+
+
+def _calls(statement: ast.stmt, *names: str) -> Iterator[tuple[ast.Call, list[str]]]:
+    """Yields the calls of functions, each with the texts of its arguments."""
+    for node in ast.walk(statement):
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in names:
+            yield node, [f"({_text(argument)})" for argument in node.args]
+
+
+def unclamped(statement: ast.stmt) -> Iterator[Edit]:
+    """A number is not clamped, or at one end only."""
+    for node, (x, low, high) in _calls(statement, "CLAMP"):
+        yield Edit(span(node), x, "missing clamp")
+        yield Edit(span(node), f"max({x}, {low})", "missing clamp at the upper end")
+        yield Edit(span(node), f"min({x}, {high})", "missing clamp at the lower end")
+    for node, (x,) in _calls(statement, "ACTIVATION"):
+        yield Edit(span(node), x, "missing ACTIVATION")
+
+
+def rounded(statement: ast.stmt) -> Iterator[Edit]:
+    """A number is rounded down instead of to the nearest, or not rounded up to a multiple of four."""
+    for node, (a, s) in _calls(statement, "RSHIFT_ROUND"):
+        yield Edit(span(node), f"({a} >> {s})", "rounded down")
+    for node, (n,) in _calls(statement, "PAD4"):
+        yield Edit(span(node), n, "without padding")
+
+
+def narrowed(statement: ast.stmt) -> Iterator[Edit]:
+    """An integer is read with half of its bytes."""
+    for node, (*_, size) in _calls(statement, "U", "I"):
+        if size in ("(2)", "(4)", "(8)"):
+            yield Edit(span(node.args[-1]), str(int(size[1]) // 2), "wrong width: half of the bytes")
+
+
+_OTHER = {"GAUSS": ("LAPLACE",), "LAPLACE": ("GAUSS",)} | {
+    f'"{own}_lanes_log2"': tuple(f'"{other}_lanes_log2"' for other in ("plane", "mask", "attribute") if other != own)
+    for own in ("plane", "mask", "attribute")
+}
+
+
+def mistaken(statement: ast.stmt) -> Iterator[Edit]:
+    """The family of models or the number of lanes is that of other symbols."""
+    for node in ast.walk(statement):
+        if isinstance(node, ast.Constant) or (isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load)):
+            for other in _OTHER.get(_text(node), ()):
+                yield Edit(span(node), other, "that of other symbols")
+
+
+# --- misreadings that wait --------------------------------------------------------------------------------------------
+
+
+def _skipped(statement: ast.stmt, name: str, condition: str, what: str) -> Iterator[Edit]:
+    """Yields for each check the text that skips it under a condition, where a function has the name of this."""
+    own = {node.arg for node in ast.walk(statement) if isinstance(node, ast.arg)}
+    own |= _names([node for node in ast.walk(statement) if isinstance(node, ast.Assign)], ast.Store)
+    for check in checks(statement) if name in own else ():
+        for node in check.conditions:
+            passing = f"{condition} or" if check.passing else f"not {condition} and"
+            yield Edit(span(node), f"{passing} ({_text(node)})", what, (check.error,))
+
+
+def later(statement: ast.stmt) -> Iterator[Edit]:
+    """A check is skipped for files of later minor versions."""
+    yield from _skipped(statement, "minor", "minor > MINOR", "missing check in later minor versions")
+
+
+def empty(statement: ast.stmt) -> Iterator[Edit]:
+    """A check is skipped for files without anchors."""
+    yield from _skipped(statement, "v", 'v["anchor_count"][0] == 0', "missing check without anchors")
+
+
+def tied(statement: ast.stmt) -> Iterator[Edit]:
+    """Halves are rounded away from zero, or to the even number."""
+    for node, (a, s) in _calls(statement, "RSHIFT_ROUND"):
+        yield Edit(span(node), f"(RSHIFT_ROUND(abs{a}, {s}) * (1 if {a} >= 0 else -1))", "wrong tie: away from zero")
+        odd = f"({a} << 1 >> {s} & 1) * (RSHIFT_ROUND({a}, {s}) & 1) * ({a} % (1 << {s}) == (1 << {s}) >> 1)"
+        yield Edit(span(node), f"(RSHIFT_ROUND({a}, {s}) - {odd})", "wrong tie: to the even number")
+
+
+MISREADINGS: tuple[Misreading, ...] = (
+    unchecked, split, part, moved, listed, offset, swapped, unclamped, rounded, narrowed, mistaken,
+)  # fmt: skip
+# Their mutants are not planted: most of them pass all vectors.
+WAITING: tuple[Misreading, ...] = (later, empty, tied)
+
+
+def edited(misreading: Misreading) -> Iterator[Mutant]:
+    """Yields the mutants of a misreading."""
+    of_errors, of_functions = demanded()
+    for place, statement in definitions().items():
+        names = Names(SEED)
+        for edit in misreading(statement):
+            first, end = edit.at
+            name = names.name(place, misreading.__name__, text()[first:end], edit.new)
+            broken = dict.fromkeys([of_errors[error] for error in edit.errors] or of_functions.get(place, ()))
+            yield planted(name, place, edit.at, edit.new, edit.what, tuple(broken))
+
+
+@cache
+def mutants() -> tuple[Mutant, ...]:
+    """Returns the mutants of all misreadings that are planted. One that two of them make is there once."""
+    return tuple({mutant.tree: mutant for each in reversed(MISREADINGS) for mutant in edited(each)}.values())
