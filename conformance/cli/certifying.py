@@ -1,4 +1,4 @@
-"""The command `registry`: reports, badges, history and matrix of the implementations in a folder."""
+"""The command `registry`: reports, badges, the page and the matrix of the implementations in a folder."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import argparse
 import datetime
 import os
 import shlex
-import subprocess
 import sys
 import time
 from pathlib import Path
@@ -37,11 +36,10 @@ def registry(arguments: argparse.Namespace) -> int:
             raise UsageError(f"{folder / key}.toml is not there, or has no [decoder]")
         if status := _report(chosen[0], manifest, arguments):
             return status
-    found = matrix.load(folder)
-    if arguments.matrix:
-        found = matrix.run(known, found, arguments.state, note)
-    matrix.check(found)
-    made = _made(folder, known, manifest, found)
+    files = matrix.run(known, note) if arguments.matrix else matrix.load(folder)
+    given = [certificates.of_decoder(i, folder, manifest) for i in known if i.decoder]
+    given += [certificates.of_encoder(i, files) for i in known if i.encoder]
+    made = {**pages.files(folder, given, files, manifest), folder / matrix.NAME: matrix.text(files)}
     if not arguments.check:
         return _write(folder, made)
     stale = [path for path, text in made.items() if not path.is_file() or path.read_text(encoding="utf-8") != text]
@@ -49,20 +47,6 @@ def registry(arguments: argparse.Namespace) -> int:
     for path in stale:
         note(f"{path} is not current: conformance registry --write")
     return statuses.REJECTED if stale else statuses.DONE
-
-
-def _made(folder: Path, known: list[Implementation], manifest: Manifest, found: matrix.Matrix) -> dict[Path, str]:
-    """Returns the generated files of a registry by path. Raises RecordError for a report that was edited."""
-    history = certificates.read_history(folder)
-    given = []
-    for i in known:
-        given += [certificates.of_decoder(i, folder, manifest, history)] if i.decoder else []
-        given += [certificates.of_encoder(i, found)] if i.encoder else []
-    return {
-        **pages.files(folder, given, history, found, manifest),
-        folder / certificates.HISTORY: certificates.history_text(history),
-        folder / matrix.NAME: matrix.text(found),
-    }
 
 
 def _write(folder: Path, made: dict[Path, str]) -> int:
@@ -76,14 +60,12 @@ def _write(folder: Path, made: dict[Path, str]) -> int:
 
 
 def _report(implementation: Implementation, manifest: Manifest, arguments: argparse.Namespace) -> int:
-    """Builds a decoder, runs the whole suite on it, and writes its report. Returns 0, or the status of a failure."""
+    """Runs the whole suite on a decoder, and writes its report. Returns 0, or the status of a failure."""
     decoder = implementation.decoder
-    if "build" in decoder and subprocess.run(decoder["build"], shell=True, check=False).returncode:
-        raise UsageError(f"{implementation.key}: its build failed: {decoder['build']}")
-    gaussians = tuple(shlex.split(decoder["gaussians"])) if "gaussians" in decoder else None
-    options = Options(
-        tuple(implementation.command), gaussians, arguments.jobs, slow=arguments.slow, serve="serve" in decoder
-    )
+    assert decoder is not None
+    gaussians = tuple(shlex.split(decoder.gaussians)) if decoder.gaussians else None
+    serves = decoder.serve is not None
+    options = Options(tuple(decoder.words), gaussians, arguments.jobs, slow=arguments.slow, serve=serves)
     started, began = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"), time.monotonic()
     done = run(manifest, manifest.vectors, options, show=sys.stderr.isatty())
     check_files(manifest, "the suite was changed while the decoder ran, so no report:")
@@ -92,9 +74,8 @@ def _report(implementation: Implementation, manifest: Manifest, arguments: argpa
     about = records.About(Description(**implementation.description), (), started, time.monotonic() - began)
     record = records.build(manifest, options, about, done)
     audit(record, manifest)
-    path = arguments.folder / decoder["report"]
     with Stage() as stage:
-        stage.write(path, records.packed(record))
+        stage.write(arguments.folder / decoder.report, records.packed(record))
     for line in summary.lines(record, manifest.folder):
         print(line)
     return statuses.DONE
@@ -102,7 +83,7 @@ def _report(implementation: Implementation, manifest: Manifest, arguments: argpa
 
 def add(commands: Any) -> None:
     """Adds the command to the parser."""
-    text = "make reports, badges, the page and the history of the implementations in a folder"
+    text = "make reports, badges, the page and the matrix of the implementations in a folder"
     parser = commands.add_parser("registry", help=text, description=f"{text[0].upper()}{text[1:]}.")
     add_vectors(parser)
     parser.add_argument(
@@ -125,15 +106,7 @@ def add(commands: Any) -> None:
     what.add_argument(
         "--matrix",
         action="store_true",
-        help="run all encoders and decoders of the folder on given scenes, then as --write; continues an interrupted "
-        "run; from the project's folder",
-    )
-    parser.add_argument(
-        "--state",
-        type=Path,
-        default=Path("out/matrix"),
-        metavar="DIR",
-        help="the folder for the state of --matrix (default: %(default)s)",
+        help="run all encoders and decoders of the folder on given scenes, then as --write; from the project's folder",
     )
     parser.add_argument(
         "--jobs", type=positive, default=os.cpu_count() or 1, help="number of processes (default: one for each core)"

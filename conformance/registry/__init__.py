@@ -1,1 +1,1 @@
-"""The registry of implementations: their reports, audited, and from these a page, badges and a history."""
+"""The registry of implementations: their reports, audited, and from these a page and badges."""

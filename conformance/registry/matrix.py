@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import shlex
-import shutil
 import subprocess
 import sys
 import tempfile
 import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -21,32 +19,22 @@ from refcodec.bitstream import codec
 from refcodec.bitstream.errors import BitstreamError
 from refcodec.bitstream.reconstruction import digest
 from refcodec.files.documents import DocumentError, read_json
-from refcodec.files.stage import write_file
 from refcodec.statuses import UsageError
 
 from ..runner import process
 from ..runner.folder import Folder
-from ..runner.grading import Found, read
+from ..runner.grading import read
 from .implementations import Implementation
 
-Matrix = dict[str, Any]
+# A row for each file of an encoder. "digests": the answers of the decoders by name.
+Matrix = list[dict[str, Any]]
 NAME = "matrix.json"
+_TINY = ("vectors/tiny-example.c3gs", "vectors/tiny-packed.c3gs", "vectors/valid/static-degree-3.c3gs")
 # The given scenes: the files of the repository that hold them, by the forms that they are given in. JSON: as in SPEC.md
 # Annex D. A folder: that of `refcodec decode`. PLY: the Gaussians of a static scene, which an encoder quantises.
-SCENES = {
-    "json": (
-        "vectors/tiny-example.c3gs",
-        "vectors/tiny-packed.c3gs",
-        "vectors/valid/static-degree-3.c3gs",
-        "examples/scenes/caliterra.c3gs",
-    ),
-    "folder": (
-        "vectors/tiny-example.c3gs",
-        "vectors/tiny-packed.c3gs",
-        "vectors/valid/static-degree-3.c3gs",
-        "examples/scenes/caliterra.c3gs",
-        "examples/scenes/snowmiku.c3gs",
-    ),
+SCENES: dict[str, tuple[str, ...]] = {
+    "json": (*_TINY, "examples/scenes/caliterra.c3gs"),
+    "folder": (*_TINY, "examples/scenes/caliterra.c3gs", "examples/scenes/snowmiku.c3gs"),
     "ply": ("vectors/valid/static-degree-0.c3gs", "vectors/valid/static-degree-3.c3gs"),
 }
 # The bounds of a decoder for one file, and the seconds of an encoder.
@@ -55,19 +43,25 @@ _SECONDS, _MEMORY, _ENCODING = 120, 1 << 30, 600
 
 def is_right(row: dict[str, Any]) -> bool:
     """Whether a file is canonical, and every decoder gives the scene that was meant, or the same one if none was."""
-    found = set(row["found"].values())
-    return row["canonical"] and len(found) == 1 and row["expected"] in (None, *found)
+    digests = set(row["digests"].values())
+    return row["canonical"] and len(digests) == 1 and row["expected"] in (None, *digests)
 
 
 def load(folder: Path) -> Matrix:
-    """Reads the matrix of a folder. It is empty if there is none. Raises UsageError or OSError."""
+    """Reads the matrix of a folder. It is empty if there is none.
+
+    Raises OSError, and UsageError if a file was meant to be another scene than the given one, if that is here.
+    """
     try:
-        found: Matrix = read_json(folder / NAME)
+        matrix: Matrix = read_json(folder / NAME)
     except FileNotFoundError:
-        return {"decoders": {}, "files": []}
+        return []
     except DocumentError as error:
         raise UsageError(f"{folder / NAME}: {error}") from None
-    return found
+    for row in matrix:
+        if Path(row["scene"]).is_file() and row["expected"] != expected(row["form"], row["scene"]):
+            raise UsageError(f"the matrix was edited: {row['scene']} has another digest than {row['expected']}")
+    return matrix
 
 
 def expected(form: str, source: str) -> str | None:
@@ -75,60 +69,28 @@ def expected(form: str, source: str) -> str | None:
     return None if form == "ply" else digest(codec.parse(Path(source).read_bytes()).scene)[0]
 
 
-def check(matrix: Matrix) -> None:
-    """Raises UsageError if a file of the matrix was meant to be another scene than the given one.
-
-    Scenes that are not on this machine are not compared.
-    """
-    for row in matrix["files"]:
-        if Path(row["scene"]).is_file() and row["expected"] != expected(row["form"], row["scene"]):
-            raise UsageError(f"the matrix was edited: {row['scene']} has another digest than {row['expected']}")
-
-
 def text(matrix: Matrix) -> str:
     """Returns the matrix as JSON, with a line for each file."""
-    rows = ",\n".join(f"  {json.dumps(row)}" for row in matrix["files"])
-    return f'{{\n "decoders": {json.dumps(matrix["decoders"])},\n "files": [\n{rows}\n ]\n}}\n'
+    return "[\n" + ",\n".join(json.dumps(row) for row in matrix) + "\n]\n"
 
 
-def _is_ready(what: str, build: str | None, command: str, note: Callable[[str], None]) -> bool:
-    """Builds a program, and returns whether it can be run."""
-    try:
-        if build:
-            subprocess.run(build, shell=True, check=True, stdin=subprocess.DEVNULL)
-        process.check_command(shlex.split(command))
-    except (subprocess.CalledProcessError, process.CommandError) as error:
-        note(f"{what} is left out: {error}")
-        return False
-    return True
-
-
-def _given(form: str, source: str, folder: Path) -> Path:
-    """Makes a given scene in a form. Returns its path."""
-    stem = Path(source).stem
+def _given(form: str, source: str, place: Path) -> None:
+    """Makes a given scene in a form."""
+    words = ["refcodec", "decode", source, "-o" if form == "folder" else "--splat", str(place)]
+    command = [sys.executable, "-m", *(["spec.example", source] if form == "json" else words)]
+    made = subprocess.run(command, check=True, capture_output=True).stdout
     if form == "json":
-        place = folder / f"{stem}.json"
-        command = [sys.executable, "-m", "spec.example", source]
-        place.write_bytes(subprocess.run(command, check=True, capture_output=True).stdout)
-        return place
-    place = folder / (stem if form == "folder" else f"{stem}.ply")
-    if not place.exists():
-        option = "-o" if form == "folder" else "--splat"
-        command = [sys.executable, "-m", "refcodec", "decode", source, option, str(place)]
-        subprocess.run(command, check=True, capture_output=True)
-    return place
+        place.write_bytes(made)
 
 
-def _encoded(command: str, scene: Path, file: Path) -> str:
-    """Runs an encoder. Returns its fault, or an empty text."""
+def _encoded(command: str, scene: Path, file: Path) -> tuple[bytes, str]:
+    """Runs an encoder. Returns its file and no fault, or no file and its fault."""
     words = process.fill(shlex.split(command), {"input": scene, "output": file})
     try:
-        ended = subprocess.run(words, capture_output=True, check=False, timeout=_ENCODING, stdin=subprocess.DEVNULL)
-    except subprocess.TimeoutExpired:
-        return f"took more than {_ENCODING} s"
-    if ended.returncode or not file.is_file():
-        return f"exit status {ended.returncode}" if ended.returncode else "wrote no file"
-    return ""
+        subprocess.run(words, capture_output=True, check=True, timeout=_ENCODING, stdin=subprocess.DEVNULL)
+        return file.read_bytes(), ""
+    except (OSError, subprocess.SubprocessError) as error:
+        return b"", type(error).__name__
 
 
 def _is_canonical(data: bytes) -> bool:
@@ -138,157 +100,48 @@ def _is_canonical(data: bytes) -> bool:
         return False
 
 
-def _answer(found: Found) -> str:
-    """Returns the digest that a decoder gives, or what it says instead."""
-    if found.result == "accepted":
-        return found.digest or ""
-    return f"refused: {found.code}" if found.result == "rejected" else f"crashed: {found.text}"
-
-
-def _decoded(command: str, file: Path) -> str:
-    """Returns a decoder's answer to a file, within the runner's bounds."""
-    with closing(Folder(file.read_bytes())) as folder:
+def _decoded(command: str, data: bytes) -> str:
+    """Returns the digest that a decoder gives within the runner's bounds, or what it answers instead."""
+    with closing(Folder(data)) as folder:
         words = process.fill(shlex.split(command), {"input": folder.input, "output": folder.output})
         ended = process.Watcher().run(words, process.Bounds(_SECONDS, _MEMORY, folder, threading.Event()))
-        return _answer(read(ended, folder.output))
+        answer = read(ended, folder.output)
+    refusal = f"refused: {answer.code}" if answer.result == "rejected" else f"crashed: {answer.text}"
+    return answer.digest or "" if answer.result == "accepted" else refusal
 
 
-def _key(row: dict[str, Any]) -> tuple[str, str, str]:
-    return row["encoder"], row["form"], row["scene"]
-
-
-class _State:
-    """The state of a run that may be interrupted: a matrix that grows, and the encoders' files beside it."""
-
-    def __init__(self, folder: Path, decoders: dict[str, str]) -> None:
-        """folder: of the state. decoders: the version and the command of each, in one text."""
-        self.folder = folder
-        folder.mkdir(parents=True, exist_ok=True)
-        old = load(folder)
-        same = {name for name, what in decoders.items() if old["decoders"].get(name) == what}
-        self.old = {_key(row): row for row in old["files"]}
-        for row in old["files"]:
-            row["found"] = {name: said for name, said in row["found"].items() if name in same}
-        self.matrix: Matrix = {"decoders": decoders, "files": []}
-
-    def file(self, row: dict[str, Any]) -> Path:
-        """The place of an encoder's file."""
-        return self.folder / f"{row['encoder']}-{row['form']}-{Path(row['scene']).stem}.c3gs"
-
-    def begin(self, row: dict[str, Any]) -> tuple[dict[str, Any], bool]:
-        """Returns the row of a file, and whether an earlier run encoded it with the same encoder."""
-        old = self.old.get(_key(row), {})
-        file = self.file(row)
-        same = {**old, **row} == old and file.is_file()
-        kept = same and hashlib.sha256(file.read_bytes()).hexdigest() == old["sha256"]
-        if not kept:
-            file.unlink(missing_ok=True)
-        self.matrix["files"].append(old if kept else row)
-        return self.matrix["files"][-1], kept
-
-    def save(self) -> None:
-        """Writes the state. Rows of an earlier run that this one has not reached yet are kept."""
-        reached = set(map(_key, self.matrix["files"]))
-        rest = [row for key, row in self.old.items() if key not in reached]
-        write_file(self.folder / NAME, text({**self.matrix, "files": [*self.matrix["files"], *rest]}).encode())
-
-
-def _rows(encoders: list[Implementation], scenes: dict[str, tuple[str, ...]]) -> Iterator[dict[str, Any]]:
-    for encoder in encoders:
-        for form, sources in scenes.items():
-            for source in sources if form in encoder.encoder else ():
-                yield {
-                    "encoder": encoder.key,
-                    "version": encoder.version,
-                    "command": encoder.encoder[form],
-                    "form": form,
-                    "scene": source,
-                }
+def _is_here(key: str, command: str, note: Callable[[str], None]) -> bool:
+    try:
+        process.check_command(shlex.split(command))
+        return True
+    except process.CommandError as error:
+        note(f"{key} is left out: {error}")
+        return False
 
 
 def run(
-    implementations: list[Implementation],
-    before: Matrix,
-    folder: Path,
-    note: Callable[[str], None],
-    scenes: dict[str, tuple[str, ...]] = SCENES,
+    known: list[Implementation], note: Callable[[str], None], scenes: dict[str, tuple[str, ...]] = SCENES
 ) -> Matrix:
-    """Makes the matrix. An interrupted run is continued where it was.
+    """Makes the matrix of the programs that are on this machine.
 
-    Programs that are not on this machine are left out. Their answers of before stay for files that did not change.
-
-    Args:
-        implementations: of the registry.
-        before: the matrix of before.
-        folder: of the state, which is removed at the end.
-        note: tells of programs that are left out.
-        scenes: the given scenes by form, as paths from the working folder.
-
-    Raises:
-        UsageError: a given scene is not there.
-        OSError: a file cannot be read or written.
+    note: is called with a line on each that is not. scenes: by form, as paths from the working folder. Raises
+    UsageError for a given scene that is not there, and OSError.
     """
     if missing := [path for sources in scenes.values() for path in sources if not Path(path).is_file()]:
         raise UsageError(f"{missing[0]} is not here: run this from the project's folder")
-    encoders = [
-        i for i in implementations
-        if i.encoder and _is_ready(f"the encoder {i.key}", i.encoder.get("build"), _first(i.encoder), note)
+    decoders = {i.key: i.decoder.run for i in known if i.decoder and _is_here(i.key, i.decoder.run, note)}
+    tasks = [
+        (i.key, form, source, command)
+        for i in known for form, command in i.encoder.items() if form in scenes and _is_here(i.key, command, note)
+        for source in scenes[form]
     ]  # fmt: skip
-    decoders = [
-        i for i in implementations
-        if i.decoder and _is_ready(f"the decoder {i.key}", i.decoder.get("build"), i.decoder["run"], note)
-    ]  # fmt: skip
-    state = _State(folder, _identities(decoders))
-    rows = list(_rows(encoders, scenes))
-    with (
-        tqdm(total=len(rows) * (1 + len(decoders)), file=sys.stderr, disable=not sys.stderr.isatty()) as bar,
-        tempfile.TemporaryDirectory() as given,
-    ):
-        for fresh in rows:
-            row, kept = state.begin(fresh)
-            file = state.file(row)
-            bar.set_postfix_str(file.stem)
-            if not kept:
-                fault = _encoded(row["command"], _given(row["form"], row["scene"], Path(given)), file)
-                data = b"" if fault else file.read_bytes()
-                row |= {
-                    "bytes": len(data),
-                    "sha256": hashlib.sha256(data).hexdigest(),
-                    "canonical": _is_canonical(data),
-                    "expected": expected(row["form"], row["scene"]),
-                    "fault": fault,
-                    "found": {},
-                }
-            state.save()
-            bar.update()
-            for decoder in decoders:
-                if decoder.key not in row["found"] and not row["fault"]:
-                    row["found"][decoder.key] = _decoded(decoder.decoder["run"], file)
-                    state.save()
-                bar.update()
-    matrix = _with_absent(state.matrix, before, implementations)
-    shutil.rmtree(folder)
-    return matrix
-
-
-def _first(encoder: dict[str, str]) -> str:
-    return next(command for form, command in encoder.items() if form != "build")
-
-
-def _identities(decoders: Iterable[Implementation]) -> dict[str, str]:
-    """Returns the version and the command of each decoder in one text: another text is another program."""
-    return {d.key: f"{d.version}: {d.decoder['run']}" for d in decoders}
-
-
-def _with_absent(matrix: Matrix, before: Matrix, implementations: list[Implementation]) -> Matrix:
-    """Adds the answers of before of the programs that are not on this machine."""
-    versions = _identities(i for i in implementations if i.decoder and i.key not in matrix["decoders"])
-    absent = {name: what for name, what in before["decoders"].items() if versions.get(name) == what}
-    by_file = {row["sha256"]: row for row in before["files"]}
-    for row in matrix["files"]:
-        old = by_file.get(row["sha256"], {"found": {}})["found"]
-        row["found"] |= {name: said for name, said in old.items() if name in absent}
-    here = {row["encoder"] for row in matrix["files"]}
-    there = {i.key: i.version for i in implementations if i.encoder and i.key not in here}
-    rest = [row for row in before["files"] if there.get(row["encoder"]) == row["version"]]
-    return {"decoders": matrix["decoders"] | absent, "files": [*matrix["files"], *rest]}
+    rows = []
+    for key, form, source, command in tqdm(tasks, unit="file", disable=None):
+        with tempfile.TemporaryDirectory() as folder:
+            scene = Path(folder, f"scene.{form}")
+            _given(form, source, scene)
+            data, fault = _encoded(command, scene, Path(folder, "file.c3gs"))
+        row = {"encoder": key, "form": form, "scene": source, "bytes": len(data), "canonical": _is_canonical(data)}
+        digests = {} if fault else {name: _decoded(own, data) for name, own in decoders.items()}
+        rows.append({**row, "expected": expected(form, source), "fault": fault, "digests": digests})
+    return rows
