@@ -30,12 +30,8 @@ _CITATION = re.compile(rf"(?:SPEC(?:\.md)? |(?<!\w){_KIND}|(?:^|\s)(?:/\*|//) (?
 # Clauses of other documents.
 _OTHERS = re.compile(r"\b(?:RFC \d+|ITU-T \S+(?: \([\d/]+\))?|SPDX [^,]*), (?:clause|chapter|Annex) [\dA-H.]+")
 _MARK = re.compile(r"(\[[RDGE](?:\d+|[A-H])(?:\.\d+)*-\d+\])")
-# Files generated from SPEC.md's requirements, and files about wrong citations.
-_LEFT_OUT = (
-    "tests/",
-    "conformance/REQUIREMENTS.md",
-    "conformance/mutants/",
-)
+# Files about wrong citations.
+_LEFT_OUT = ("tests/", "conformance/mutants/")
 # Chapters with clauses on specific parts of a file or of the decoding process.
 _COMPARED = ("5.", "6.", "7.", "8.", "9.", "11.", "14.")
 # Words without information on the subject.

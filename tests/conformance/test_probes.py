@@ -231,7 +231,7 @@ def test_a_trace_without_probes_says_nothing_of_them() -> None:
 def test_the_manual_names_all_probes() -> None:
     """README.md has the names that the decoders write, and no other."""
     text = (Path(conformance.__file__).with_name("README.md")).read_text(encoding="utf-8")
-    table = text.partition("### Probes")[2].partition("## Which rule")[0]
+    table = text.partition("### Probes")[2].partition("\n## ")[0]
     named = {name for row in re.findall(r"^\| (`.+?) \|", table, re.MULTILINE) for name in re.findall(r"`(.+?)`", row)}
     written = {line.split()[1].partition("[")[0] for line in _probes(_refcodec(EXAMPLE))}
     assert {name.replace(".I.", ".1.") for name in named} == written

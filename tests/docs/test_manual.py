@@ -54,7 +54,7 @@ def test_a_block_that_fails_is_seen(tmp_path: Path) -> None:
 
 def _commands(block: Block) -> list[list[str]]:
     """The commands of the project in a block, as words."""
-    lines = [line for line in block.text.splitlines() if line.split(" ", 1)[0] in PROGRAMS]
+    lines = [line for line in block.text.replace("\\\n", "").splitlines() if line.split(" ", 1)[0] in PROGRAMS]
     return [shlex.split(line, comments=True) for line in lines]
 
 
