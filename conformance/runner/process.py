@@ -149,7 +149,8 @@ class _Decoder:
         if sys.platform == "linux":
             for limit, most in ((resource.RLIMIT_CORE, 0), (resource.RLIMIT_FSIZE, FILE_BYTES)):
                 with contextlib.suppress(OSError, ValueError):  # the process has ended, or has a lower limit
-                    resource.prlimit(self._process.pid, limit, (most, most))
+                    # Only the soft limit: a sanitizer sets that of core dumps at its start, with the hard one it read.
+                    resource.prlimit(self._process.pid, limit, (most, resource.getrlimit(limit)[1]))
 
     def put(self, line: bytes) -> bool:
         """Writes a request to a server. Returns False if the server has ended, or wrote unasked."""
