@@ -29,8 +29,9 @@ PROOFS: dict[str, str] = {
     ),
     "EXPONENTIAL-constant-0048a028": "The two differ in the lowest bit of y only, which the shift by 16 drops.",
     "PARSE_HEADER-arguments-0904a40e": "Either takes 20 bytes. The value is not read: an entry is parsed from data.",
-    "HEADER-constant-18d374ec": _UNREAD_SIGN,
-    "RENDER_INFO-constant-216a0d24": "No decoder reads colour_primaries. The digest covers its byte in the file.",
+    "FIRST_FIELDS-constant-04a16a56": _UNREAD_SIGN,
+    "FIRST_FIELDS-constant-07a8ca10": _UNREAD_SIGN,
+    "FIRST_FIELDS-constant-09ef8081": _UNREAD_SIGN,
     "RENDERING-arguments-c66d6e6e": (
         "The names of these networks tell them from the integer networks, and their order in the file is that of the "
         "tuple. No other use depends on which name comes first."
