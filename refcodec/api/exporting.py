@@ -191,13 +191,11 @@ def _write_splats(shown: Shown, paths: list[Path], words: ExportWords) -> Report
         files = [write_splats(splats, suffix, options) for suffix in suffixes]
         # The written numbers are measured.
         near = [measure(FORMATS[s].read(file), show) for s, file in zip(suffixes, files, strict=True) if measure]
-    lines = [
-        f"{path}: {count}, degree {splats.degree}, {_size(path, splats, file, shown, bits)}"
-        for path, file in zip(paths, files, strict=True)
-    ]
-    if measure:
-        shares = [f"PSNR to the scene: {decibels:.2f} dB over {views}" for decibels in near]
-        lines = [line for pair in zip(lines, shares, strict=True) for line in pair]
+    lines = []
+    for number, (path, file) in enumerate(zip(paths, files, strict=True)):
+        size, *more = _sizes(path, splats, file, shown, bits)
+        lines += [f"{path}: {count}, degree {splats.degree}, {size}", *more]
+        lines += [f"PSNR to the scene: {near[number]:.2f} dB over {views}"] if measure else []
     with Stage() as stage:
         for path, file in zip(paths, files, strict=True):
             stage.write(path, file)
@@ -247,8 +245,8 @@ def _fit(
     return fitted.splats, fitted.of, measure, f"{len(views.test)} views, fitted to {views.source}"
 
 
-def _size(path: Path, splats: Splats, file: bytes, shown: Shown, bits: int) -> str:
-    """Returns the text about the size of a written file; for .spz also the size with other bits of harmonics."""
+def _sizes(path: Path, splats: Splats, file: bytes, shown: Shown, bits: int) -> list[str]:
+    """Returns the lines about the size of a written file; for .spz also the size with other bits of harmonics."""
     from ..formats.common import BITS, BITS_MOST, Options
     from ..formats.table import write_splats
 
@@ -256,10 +254,10 @@ def _size(path: Path, splats: Splats, file: bytes, shown: Shown, bits: int) -> s
     if shown.data is not None:
         size += f", {shown.name} has {len(shown.data):,}"
     if path.suffix.lower() != ".spz" or not splats.degree:
-        return size
+        return [size]
     other = BITS if bits == BITS_MOST else BITS_MOST
     with_other = len(write_splats(splats, ".spz", Options(spz_bits=other)))
-    return f"{size}\nits harmonics have {bits} bits; with {other} (export --spz-bits) it has {with_other:,} bytes"
+    return [size, f"its harmonics have {bits} bits; with {other} (export --spz-bits) it has {with_other:,} bytes"]
 
 
 def _scaffold(file: kinds.Place | Scene, folder: Path, words: ExportWords) -> Report:

@@ -45,7 +45,8 @@ def _run(argv: list[str], words: dict[str, Any]) -> int:
     result = function(*words.pop("keys", ()), **words)
     report = result if isinstance(result, Report) else Report(_lines(result))
     for line in report.lines:
-        print(line if line.isprintable() else printable(line, lines=True))
+        # A name of a file may have line feeds: a line of a report stays one.
+        print(line if line.isprintable() else printable(line, lines=report is not result))
     for line in report.notes:
         note(line)
     return _reject(str(words["file"]), report.error) if report.error else report.status

@@ -24,7 +24,8 @@ from refcodec.bitstream import tables
 ROOT = Path(__file__).resolve().parents[2]
 PLUGIN = ROOT / "examples" / "plugin-js"
 SERVER = Path(__file__).with_name("serve_container.mjs")
-GUIDE = (ROOT / "docs" / "decoder.md").read_text(encoding="utf-8").replace(" \\\n   ", "")
+# A command may continue on a second line.
+GUIDE = re.sub(r"\\\n *", "", (ROOT / "docs" / "decoder.md").read_text(encoding="utf-8"))
 # What the plug-in checks, as the guide selects it.
 SELECTED = "code:1*,2*,3*,40*"
 # A few of these, of every class, for which it is started as the guide says.
