@@ -188,5 +188,5 @@ def evaluate(
     with drawn, folder or contextlib.nullcontext(), progress_bar(words) as show:
         result = evaluate(data, compared, folder.add if folder else None, show, measure)
     result = {"file": shown.name, **result}
-    lines = [json_text.dumps(result, indent=1)] if json else [*map(printable, table(result))]
+    lines = json_text.dumps(result, indent=1).splitlines() if json else [*map(printable, table(result))]
     return Report(lines, result)
