@@ -31,7 +31,6 @@ class ExportWords(ReadingWords, total=False):
     """How a scene is written.
 
     Args:
-        scaffold: write a Scaffold-GS folder.
         glb: what a .glb contains: plain Gaussians, or for a static scene FILE itself, or both.
         degree: degree of the spherical harmonics, by which colours depend on the direction (default: 3).
         cameras: fit to the cameras of a folder of photographs; in Python also a list of refcodec.Camera.
@@ -40,7 +39,6 @@ class ExportWords(ReadingWords, total=False):
         spz_bits: bits of the harmonics in .spz; fewer make a smaller, less accurate file (default: 7).
     """
 
-    scaffold: bool
     glb: Literal["plain", "c3gs", "both"]
     degree: kinds.Degree | None
     cameras: kinds.FitCameras | Sequence[Camera] | None
@@ -50,7 +48,7 @@ class ExportWords(ReadingWords, total=False):
     spz_bits: kinds.SpzBits | None
 
 
-@command({"torch": "fit", "": "render"}, writes=True)
+@command("render", writes=True)
 def export(
     file: kinds.Place | Scene, output: Sequence[kinds.AnyPath] | kinds.AnyPath, **words: Unpack[ExportWords]
 ) -> Report:
@@ -86,9 +84,6 @@ def export(
     KHR_gaussian_splatting_compression_c3gs, and --glb both adds plain Gaussians for readers without this extension. If
     FILE is such a .glb, an OUTPUT with the suffix .c3gs gets the scene that it contains.
 
-    With --scaffold, OUTPUT is a folder that the code of Scaffold-GS loads. It shows the same Gaussians as FILE.
-    Needs: pip install 'refcodec[fit]'.
-
     Args:
         file: a C3GS file, or the folder of an uncompressed scene.
         output: the file to write; repeatable, and all splats of a command share one fit.
@@ -99,7 +94,6 @@ def export(
         export scene.c3gs -o scene.sog -o scene.glb --degree 1
         export static.c3gs -o scene.glb --glb c3gs
         export scene.glb -o static.c3gs
-        export scene.c3gs -o model --scaffold
         export scene.c3gs -o scene.html --photographs photographs
 
     Returns:
@@ -114,11 +108,8 @@ def export(
     if words.get("glb", "plain") != "plain" or name.lower().endswith(_GLB):
         return _carried(file, paths, words)
     page = any(path.suffix.lower() == _PAGE for path in paths)
-    if (words.get("scaffold") or page) and len(paths) != 1:
-        single = "a page" if page else "a Scaffold-GS folder"
-        raise UsageError(f"{single} needs its own command: only splats can be several outputs")
-    if words.get("scaffold"):
-        return _scaffold(file, paths[0], words)
+    if page and len(paths) != 1:
+        raise UsageError("a page needs its own command: only splats can be several outputs")
     if page:
         check_outputs([file, words.get("photographs")], (paths[0], PAGE))
         return write_page(_shown(file, words), paths[0], words)
@@ -130,12 +121,12 @@ def export(
     return _write_splats(_shown(file, words), paths, words)
 
 
-def _shown(file: kinds.Place | Scene, words: ExportWords, program: int | None = None) -> Shown:
-    """Returns the scene of an export. program: bytes of its packages, None for those of drawing."""
+def _shown(file: kinds.Place | Scene, words: ExportWords) -> Shown:
+    """Returns the scene of an export."""
     from ..bitstream.bounds import DRAWING
     from .shown import Shown
 
-    return Shown(file, words, EXPORT_COPIES, DRAWING if program is None else program)
+    return Shown(file, words, EXPORT_COPIES, DRAWING)
 
 
 def _paths(output: Sequence[kinds.StrPath] | kinds.StrPath) -> list[Path]:
@@ -260,30 +251,6 @@ def _sizes(path: Path, splats: Splats, file: bytes, shown: Shown, bits: int) -> 
     return [size, f"its harmonics have {bits} bits; with {other} (export --spz-bits) it has {with_other:,} bytes"]
 
 
-def _scaffold(file: kinds.Place | Scene, folder: Path, words: ExportWords) -> Report:
-    """Writes a Scaffold-GS folder."""
-    from ..bitstream.bounds import TORCH
-    from ..folder.places import limits_of
-
-    # torch by itself may take more memory than the caller allows. If it is missing, this fails before the work.
-    limits_of(words).beside(TORCH).check_memory(0)
-    import torch  # noqa: F401
-
-    from ..bitstream.reconstruction import reconstruct
-    from ..export.scaffold import FILES, check_folder, lattice_edge, scaffold_files, write_folder
-
-    check_folder(folder)
-    shown = _shown(file, words, TORCH)
-    check_apart([folder / name for name in FILES], [shown.folder or shown.name])
-    scene, plain = shown.scene, shown.uncompressed
-    values, voxel = (plain.values, plain.voxel) if plain else (reconstruct(shown.coded()), lattice_edge(shown.coded()))
-    files = scaffold_files(values, scene.masks, scene.networks, scene.render, shown.cameras, voxel)
-    if scene.render.background not in ((0, 0, 0), (255, 255, 255)):
-        shown.remark("Scaffold-GS has only black and white backgrounds; the folder states black")
-    write_folder(files, folder)
-    return Report([f"{folder}: {scene.anchor_count:,} anchors, {sum(map(len, files.values())):,} bytes"])
-
-
 def _carried(file: kinds.Place | Scene, paths: list[Path], words: ExportWords) -> Report:
     """Writes a GLB file that contains a static scene as C3GS, or the C3GS file that a GLB file contains."""
     from ..folder.places import C3GS, check_outputs, shown_name
@@ -294,7 +261,7 @@ def _carried(file: kinds.Place | Scene, paths: list[Path], words: ExportWords) -
     name = shown_name(file)
     inside, form = name.lower().endswith(_GLB), words.get("glb", "plain")
     suffix, reason = (_C3GS, f"{name} is a .glb") if inside else (_GLB, f"--glb {form} is given")
-    if len(paths) != 1 or paths[0].suffix.lower() != suffix or words.get("scaffold"):
+    if len(paths) != 1 or paths[0].suffix.lower() != suffix:
         raise UsageError(f"{reason}, so the output must be one {suffix} file")
     check_outputs([file], (paths[0], C3GS if inside else FORMATS[_GLB].kind))
     if inside:

@@ -25,8 +25,8 @@ WEIGHT, PLANE_POINT, DECODING, HOLDING = 32, 8, 56, 8
 CHUNK, HELD_CHUNK = 192, 2048
 # The number of copies of section bytes, chunk bytes and camera bytes during decoding.
 READING, CAMERA = 5, 16
-# The bytes of the program with the packages of decoding, and those that the packages of drawing, and torch, add.
-PROGRAM, DRAWING, TORCH = 64 << 20, 128 << 20, 256 << 20
+# The bytes of the program with the packages of decoding, and those that the packages of drawing add.
+PROGRAM, DRAWING = 64 << 20, 128 << 20
 # The memory for a file behind a URL, if the caller does not limit it.
 URL_MEMORY = 4 << 30
 

@@ -22,12 +22,11 @@ from ..bitstream.networks import Layer
 from ..bitstream.reconstruction import Reconstruction
 from ..encoder.cloud import AnchorCloud
 from ..files.ply import check_ply_header, property_names
-from ..folder.layout import PLY_FILE, RENDER_FILE, SceneFolderError, there
+from ..folder.layout import PLY_FILE, SceneFolderError, there
 from ..folder.ply import read_cloud
-from ..folder.uncompressed import Uncompressed, read_render_document
+from ..folder.uncompressed import Uncompressed
 from ..formats.common import ContentError, errors_in
 from ..rendering.camera import STATED, spread_cameras, up_axis
-from .carried import with_distance_unit, without_carried
 from .notes import CAMERAS_FILE, SETTINGS_FILE, ModelSettings, read_cameras, read_settings
 from .tensors import Parameters, read_state_dicts, read_torchscript
 
@@ -78,27 +77,19 @@ def read_checkpoint(folder: Path, appearance: int | None = None) -> Converted:
     file, stored = _stored(ply.parent)
     with errors_in(file, _ADVICE):
         networks, embeddings = _networks(stored, cloud, appearance)
-        cloud, networks = without_carried(cloud, networks)
         networks = _of_one_width(networks)
-    voxel, document = settings.voxel, ply.parent / RENDER_FILE
-    if there(document, _ADVICE):
-        render, cameras, voxel = read_render_document(document)
-        networks = with_distance_unit(networks, render.distance_unit)
-        if not all(np.isfinite(networks[name][0][0]).all() for name in RENDERING):
-            raise SceneFolderError(document, "a weight times its distance_unit is infinite", _ADVICE)
-    else:
-        render = RenderInfo(
-            background=(255, 255, 255) if settings.white else (0, 0, 0),
-            up_axis=up_axis(seen_from, cloud.positions.astype(np.float64)) if seen_from else RenderInfo.up_axis,
-        )
-        cameras = tuple(spread_cameras(seen_from, STATED))
+    render = RenderInfo(
+        background=(255, 255, 255) if settings.white else (0, 0, 0),
+        up_axis=up_axis(seen_from, cloud.positions.astype(np.float64)) if seen_from else RenderInfo.up_axis,
+    )
+    cameras = tuple(spread_cameras(seen_from, STATED))
     values = Reconstruction(
         cloud.positions,
         cloud.features,
         cloud.scalings,
         np.where(cloud.masks[:, :, None], cloud.offsets, np.float32(0)),
     )
-    scene = Uncompressed(values, cloud.masks, networks, render, cameras, _lattice(cloud.positions, voxel))
+    scene = Uncompressed(values, cloud.masks, networks, render, cameras, _lattice(cloud.positions, settings.voxel))
     return Converted(scene, embeddings)
 
 

@@ -1,4 +1,4 @@
-"""A scene for other programs: ordinary 3D Gaussians fitted to its views, and a folder of Scaffold-GS."""
+"""A scene for other programs: ordinary 3D Gaussians fitted to its views."""
 
 # The defaults of a fit: the degree of the harmonics, and the least-squares steps on the images.
 DEGREE, ITERATIONS = 3, 10

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import sys
 import threading
 import tracemalloc
 from collections.abc import Callable
@@ -41,7 +40,6 @@ COMMANDS = [
     "inspect FILE",
     "inspect FILE --trace",
     "render FILE -o new",
-    "export FILE --scaffold -o new",
     "export FILE -o new.ply",
     "eval FILE photos --size 48",
     "export FILE -o new.html",
@@ -55,8 +53,6 @@ def prepare(command: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("refcodec.viewer.server.serve", pytest.fail)
     if not packages(*["numba", "PIL"][: 2 * command.startswith(("render", "export", "eval"))]):
         pytest.skip("needs the extra render")
-    if "--scaffold" in command:
-        pytest.importorskip("torch")
 
 
 def test_each_command_of_a_file_has_bounds() -> None:
@@ -153,14 +149,6 @@ def test_tables_of_a_file_are_within_the_bounds() -> None:
         for show in (lambda: opened.sizes, lambda: opened.metadata, lambda: opened.cameras, opened._repr_html_):
             with pytest.raises(BoundPassedError, match="memory"):
                 show()
-
-
-def test_torch_is_not_loaded_beyond_the_bound(place: Path, monkeypatch: pytest.MonkeyPatch, call: Call) -> None:
-    """It takes more than the caller allows, before the file is looked at."""
-    monkeypatch.setitem(sys.modules, "torch", None)
-    for memory, said in (("200M", "--max-memory"), ("400M", "needs torch")):
-        status, _, err = call("export", EXAMPLE, "--scaffold", "-o", place / "new", "--max-memory", memory)
-        assert (status, said in err) == (64, True)
 
 
 @pytest.mark.parametrize("command", COMMANDS[:7])

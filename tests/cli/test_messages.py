@@ -77,7 +77,6 @@ WRONG = rows(
     export trained.c3gs -o a.ply -o scene.obj | scene.obj has an unknown suffix
     export trained.c3gs -o a.ply -o a.ply | a.ply
     export trained.c3gs -o a.ply -o a.html | a page needs its own command
-    export trained.c3gs -o a -o b --scaffold | a Scaffold-GS folder needs its own command
     export trained.c3gs -o nowhere/scene.ply | there is no directory
     export trained.c3gs -o letter.txt | unknown suffix
     export nothing.c3gs -o scene.ply | nothing.c3gs: No such file
@@ -91,7 +90,6 @@ WRONG = rows(
     export trained.c3gs -o scene.spz --spz-bits 3 | --spz-bits must be a whole number from 4 to 8, not 3
     export static.c3gs -o scene.ply --degree 2 | a static scene, which needs no fit: omit --degree
     export static.c3gs -o scene.ply --cameras x | a static scene, which needs no fit: omit --cameras
-    export static.c3gs -o model2 --scaffold | render_model 1 | torch
     view scene.c3gs --port 65536 | --port must be a whole number from 0 to 65535, not 65536
     train | train needs PHOTOGRAPHS and -o SCENE_DIR
     train photos -o new --preset slow | --preset must be fast or paper, not slow
@@ -203,7 +201,6 @@ def test_python_is_told_the_same(function: Any, arguments: dict[str, Any], said:
         render scene.c3gs -o new | numba | render
         eval scene.c3gs photos | numba | render
         export trained.c3gs -o b.ply | numba | render
-        export scene.c3gs -o new --scaffold | torch | fit
         demo -o new | PIL | demo
         """,
         3,

@@ -66,7 +66,6 @@ def run(words: str) -> int:
 
 # A command, one that makes older outputs first, names of outputs that differ each time, and packages that it needs. The
 # state that a fit saves meanwhile is tested in tests/train. All cells of rd are done: it writes tables and curves.
-# TorchScript counts what it makes.
 CASES = rows(
     """
     encode scene -o out.c3gs | encode other -o out.c3gs
@@ -79,7 +78,6 @@ CASES = rows(
     render scene.c3gs --cameras orbit --frames 2 -o images | | | DRAW slow
     eval scene.c3gs photos --size 16 --holdout 8 --images images | | | DRAW slow
     export scene.c3gs -o out.glb FIT 1 --cameras photos --size 16 | export scene.c3gs -o out.glb FIT 0 | | DRAW slow
-    export scene.c3gs -o deep/model --scaffold | export other.c3gs -o deep/model --scaffold | SCRIPTS | torch slow
     train photos -o out --steps 2 START | decode other.c3gs -o out | | torch DRAW slow
     fit points3D.txt -o deep/out --steps 2 | | | torch scipy slow
     convert model0 -o out | convert model1 -o out | | torch scipy slow
@@ -91,7 +89,6 @@ CASES = rows(
     .replace("FIT", "--iterations 0 --degree")
     .replace("START", "--set start.anchors=100")
     .replace("RUN", "suite run --vectors suite --jobs 1")
-    .replace("SCRIPTS", "opacity_mlp.pt cov_mlp.pt color_mlp.pt")
     .replace("REPORTS", "report.json report.html"),
     4,
 )

@@ -24,8 +24,6 @@ from refcodec.formats.table import write_splats  # noqa: E402
 from refcodec.rendering.camera import Camera  # noqa: E402
 from refcodec.rendering.view import View  # noqa: E402
 
-# PyTorch advises against TorchScript, which is what Scaffold-GS loads.
-pytestmark = pytest.mark.filterwarnings("ignore:.torch.jit:DeprecationWarning")
 torch.set_num_threads(1)
 
 TRAINED = Path(__file__).resolve().parents[2] / "vectors" / "valid" / "trained-caliterra.c3gs"
@@ -59,16 +57,11 @@ def assert_near(shown: View, view: View, cameras: list[Camera], least: float) ->
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("form", ["scaffold", "uncompressed"])
-def test_folders(form: str, view: View, cameras: list[Camera], tmp_path: Path) -> None:
+def test_a_folder(view: View, cameras: list[Camera], tmp_path: Path) -> None:
     """A folder shows the scene as it is. Encoding it again costs what new steps cost."""
     plain, file = tmp_path / "plain", tmp_path / "a.c3gs"
-    if form == "scaffold":
-        assert main(["export", str(TRAINED), "-o", str(tmp_path / "model"), "--scaffold"]) == 0
-        assert main(["convert", str(tmp_path / "model"), "-o", str(plain)]) == 0
-    else:
-        scene = parse(TRAINED.read_bytes()).scene
-        write_uncompressed(Uncompressed(reconstruct(scene), scene.masks, view.networks, view.info), plain)
+    scene = parse(TRAINED.read_bytes()).scene
+    write_uncompressed(Uncompressed(reconstruct(scene), scene.masks, view.networks, view.info), plain)
     assert main(["encode", str(plain), "-o", str(file), "--lambda", "0.004", "--steps", "30"]) == 0
     assert_near(View(parse(file.read_bytes()).scene), view, cameras, FOLDER)
 

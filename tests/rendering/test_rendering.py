@@ -26,7 +26,14 @@ from refcodec.bitstream.reconstruction import gaussians as splat_of
 from refcodec.bitstream.scene import Scene
 from refcodec.cli.main import main
 from refcodec.rendering.camera import Camera, default_camera
-from refcodec.rendering.gaussians import Gaussians, gaussians, static_gaussians, static_splats
+from refcodec.rendering.gaussians import (
+    Gaussians,
+    RenderModelError,
+    check_view_dependent,
+    gaussians,
+    static_gaussians,
+    static_splats,
+)
 from refcodec.rendering.view import View
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -348,7 +355,6 @@ def test_static_gaussians_are_those_of_the_text(spec: dict, degree: int) -> None
     assert len(View(scene).gaussians(camera).mean) == scene.masks.sum()
 
 
-def test_what_reads_the_view_takes_no_static_scene(capsys: pytest.CaptureFixture[str]) -> None:
-    file = VECTORS / "valid" / "static-degree-1.c3gs"
-    assert main(["export", "--scaffold", str(file), "-o", "x"]) == statuses.USAGE
-    assert "must have 0" in capsys.readouterr().err
+def test_what_reads_the_view_takes_no_static_scene() -> None:
+    with pytest.raises(RenderModelError, match="must have 0"):
+        check_view_dependent(parse((VECTORS / "valid" / "static-degree-1.c3gs").read_bytes()).scene.render)

@@ -35,7 +35,7 @@ COMMANDS: list[tuple[tuple[str, ...], int]] = [
     (("refcodec", "eval", "scene.c3gs", "folder"), USAGE),
     (("refcodec", "experiment", "camera.json", "-o", "new"), USAGE),
     (("refcodec", "explain", "R6.1-1"), DONE),
-    (("refcodec", "export", "scene.c3gs", "-o", "scaffold", "--scaffold"), DONE),
+    (("refcodec", "export", "scene.c3gs", "-o", "new.html"), DONE),
     (("refcodec", "fit", "cloud.ply", "-o", "new"), USAGE),
     (("refcodec", "gaussians", "scene.c3gs", "camera.json", "gaussians.json"), DONE),
     (("refcodec", "inspect", "scene.c3gs"), DONE),
