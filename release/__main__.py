@@ -29,7 +29,7 @@ def steps() -> dict[str, Step]:
     """Returns the steps by name, in their order. Each writes one or some artefacts to a folder."""
     return {
         "source distribution": packages.sdist,
-        "wheels for any system": wheels.plain,
+        "wheel for any system": wheels.plain,
         **{f"wheel for {target.name}": partial(wheels.native, target=target) for target in compiler.TARGETS},
         "module for browsers": packages.npm,
         "vectors": packages.vectors,

@@ -49,6 +49,12 @@ def zipped(files: Mapping[str, bytes], epoch: int) -> bytes:
     return raw.getvalue()
 
 
+def members(archive: bytes) -> dict[str, bytes]:
+    """Returns the files of a .zip by path."""
+    with zipfile.ZipFile(io.BytesIO(archive)) as opened:
+        return {name: opened.read(name) for name in opened.namelist()}
+
+
 def tree(folder: Path, prefix: str = "") -> dict[str, bytes]:
     """Returns the files of a folder by path, with a prefix."""
     paths = sorted(path for path in folder.rglob("*") if path.is_file())

@@ -29,11 +29,8 @@ MINGW = Part("mingw-w64", "LicenseRef-MinGW-w64", ("lib/libc/mingw/COPYING",))
 FILE = "THIRD-PARTY.txt"
 
 
-def parts(name: str, tag: str) -> list[Part]:
-    """Returns the parts in a wheel. name: of the distribution. tag: of its system."""
-    if name != "refcodec":
-        return []
-    # Each wheel of refcodec has c3gs.wasm.
+def parts(tag: str) -> list[Part]:
+    """Returns the parts in a wheel, each of which has c3gs.wasm. tag: of its system."""
     native = [RUNTIME] if tag in {target.tag for target in TARGETS} else []
     return [WASI, *native, *([MINGW] if tag.startswith("win") else [])]
 

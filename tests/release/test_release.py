@@ -10,7 +10,6 @@ import shutil
 import subprocess
 import tarfile
 import tomllib
-import zipfile
 from pathlib import Path
 
 import pytest
@@ -33,43 +32,19 @@ def _without_the_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(notices, "text", lambda *parts: ", ".join(part.name for part in parts).encode())
 
 
-def metadata() -> str:
-    """METADATA as setuptools makes it of pyproject.toml, as far as it matters here."""
-    lines = ["Metadata-Version: 2.4", "Name: refcodec", "Version: 0.1.0", "Author: X", "License-Expression: Apache-2.0"]
-    lines += ["Requires-Python: >=3.11", "License-File: LICENSE"]
-    lines += [f"Requires-Dist: {text}" for text in PROJECT["dependencies"]]
-    for extra, texts in PROJECT["optional-dependencies"].items():
-        lines += [f"Provides-Extra: {extra}", *(f'Requires-Dist: {text}; extra == "{extra}"' for text in texts)]
-    return "\n".join(lines) + "\n\nWords.\n"
-
-
 def whole() -> dict[str, bytes]:
     """The files of a wheel of the whole tree, with a few of its modules."""
     return {
         "refcodec/__init__.py": b"",
         "conformance/__init__.py": b"",
         "conformance/data/vectors/manifest.json": b"{}",
-        f"{INFO}METADATA": metadata().encode(),
+        f"{INFO}METADATA": b"Metadata-Version: 2.4\nName: refcodec\nVersion: 0.1.0\nLicense-File: LICENSE\n\nWords.\n",
         f"{INFO}WHEEL": b"Wheel-Version: 1.0\nGenerator: x\nRoot-Is-Purelib: true\nTag: py3-none-any\n\n",
         f"{INFO}entry_points.txt": b"",
         f"{INFO}top_level.txt": b"",
         f"{INFO}licenses/LICENSE": b"",
         f"{INFO}RECORD": b"",
     }
-
-
-def divided(monkeypatch: pytest.MonkeyPatch, folder: Path) -> list[dict[str, bytes]]:
-    """The files of the wheel of refcodec and of that of the suite."""
-    monkeypatch.setattr(wheels, "build", lambda *_: archives.zipped(whole(), 0))
-    contents = []
-    for path in wheels.plain(SOURCE, folder):
-        with zipfile.ZipFile(path) as archive:
-            contents.append({name: archive.read(name) for name in archive.namelist()})
-    return contents
-
-
-def requirements(wheel: dict[str, bytes], info: str) -> list[Requirement]:
-    return [Requirement(t) for t in re.findall(r"^Requires-Dist: (.*)$", wheel[f"{info}METADATA"].decode(), re.M)]
 
 
 def test_an_archive_depends_on_names_and_contents_only(tmp_path: Path) -> None:
@@ -108,27 +83,22 @@ def test_a_source_distribution_is_the_same_twice(tmp_path: Path) -> None:
     assert made[0] == made[1]
 
 
-def test_the_decoder_is_apart_from_the_suite(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    light, suite = divided(monkeypatch, tmp_path)
-    assert {name.partition("/")[0] for name in light} == {"refcodec", INFO.rstrip("/")}
-    assert {"conformance/__init__.py", "conformance/data/vectors/manifest.json"} <= set(suite)
-    assert not any(name.startswith("refcodec/") for name in suite)
-    # The extra of the same name installs the suite.
-    extra = [str(r) for r in requirements(light, INFO) if r.name == "refcodec-conformance"]
-    assert extra == ['refcodec-conformance==0.1.0; extra == "conformance"']
-    needed = {str(r) for r in requirements(suite, "refcodec_conformance-0.1.0.dist-info/")}
-    assert needed == {"refcodec==0.1.0", *PROJECT["optional-dependencies"]["conformance"]}
-    for wheel, info in ((light, INFO), (suite, "refcodec_conformance-0.1.0.dist-info/")):
-        listed = {line.partition(",")[0] for line in wheel[f"{info}RECORD"].decode().splitlines()}
-        assert listed == set(wheel)
+def test_a_wheel_has_codec_and_suite(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """What setuptools built, the licences of the parts, and a record of all."""
+    monkeypatch.setattr(wheels, "build", lambda *_: archives.zipped(whole(), 0))
+    (path,) = wheels.plain(SOURCE, tmp_path)
+    wheel = archives.members(path.read_bytes())
+    assert set(wheel) == {*whole(), f"{INFO}licenses/{notices.FILE}"}
+    assert wheel[f"{INFO}METADATA"].decode().count(f"License-File: {notices.FILE}\n") == 1
+    record = wheel[f"{INFO}RECORD"].decode().splitlines()
+    assert {line.partition(",")[0] for line in record} == set(wheel)
 
 
 def test_every_part_goes_with_its_licence() -> None:
-    names = {target.name: [part.name for part in notices.parts("refcodec", target.tag)] for target in compiler.TARGETS}
+    names = {target.name: [part.name for part in notices.parts(target.tag)] for target in compiler.TARGETS}
     assert names["Windows x86_64"] == ["wasi-libc", "zig compiler-rt", "mingw-w64"]
     assert names["Linux x86_64"] == ["wasi-libc", "zig compiler-rt"]
-    assert notices.parts("refcodec_conformance", wheels.ANY) == []
-    assert notices.parts("refcodec", wheels.ANY) == [notices.WASI]
+    assert notices.parts(wheels.ANY) == [notices.WASI]
 
 
 def test_one_compiler_is_pinned() -> None:
