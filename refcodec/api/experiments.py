@@ -46,16 +46,14 @@ def demo(
         demo -o out --steps 600
         demo -o out --photographs my-photographs --background white --holdout 5
     """
-    from ..experiments.data_set import DataSet, options_of
-    from ..experiments.demo import STEPS, find_example, run_demo
+    from ..experiments.demo import STEPS, Demo, find_example, options_of, run_demo
     from ..train.settings_file import chosen_settings
 
     only_one(scene=scene, photographs=photographs)
     _refuse_lambda(words, "the demo chooses its rates")
     chosen = chosen_settings({**words, "steps": steps}, steps=STEPS)
     folder = find_example(scene or "caliterra") if photographs is None else Path(photographs)
-    data = DataSet(folder, chosen.size, chosen.background, chosen.holdout, options_of(words))
-    page, whole = run_demo(Path(output), data, chosen.steps)
+    page, whole = run_demo(Demo(Path(output), folder, chosen, options_of(words)))
     return Report([f"The page: {page.resolve().as_uri()}"], {"page": page}, status=DONE if whole else INTERRUPTED)
 
 
@@ -93,30 +91,13 @@ def rd(
         rd photographs -o curve --against other/results.csv
         rd photographs -o curve --anchors 20000 --holdout 5 --set masks.epsilon=0.0004
     """
-    from ..experiments.command import Options
-    from ..experiments.data_set import DataSet
-    from ..experiments.plan import OWN_KEYS
-    from ..experiments.rd import one_scene, run_rd, scene_name
-    from ..train.settings_file import chosen_settings
+    from ..experiments.command import Options, run_experiment
+    from ..experiments.plan import one_scene
 
     _refuse_lambda(words, "use --lambdas")
-    chosen, folder = chosen_settings(words), Path(photographs)
-    scene = {
-        "name": scene_name(folder),
-        "photographs": str(folder.absolute()),
-        "size": chosen.size,
-        "background": None if chosen.background == "auto" else chosen.background,
-        "holdout": chosen.holdout,
-        **{name: words.get(name) for name in ("up", "voxel", "anchors", "degree")},
-        "set": [change for change in words.get("set", ()) if change.partition("=")[0].strip() not in OWN_KEYS],
-    }
-    # Errors in the photographs are reported before anything is written.
-    places = DataSet(folder, chosen.size, chosen.background, chosen.holdout).read().places()
-    others = {"seeds": [chosen.seed], "steps": chosen.steps, "device": device}
-    preset, static = words.get("preset", "fast"), words.get("static", False)
-    experiment = one_scene(scene, preset, sorted({*lambdas}), uncompressed, static, **others)
-    options = Options(Path(output), jobs=jobs)
-    return Report(status=run_rd(experiment, places, options, None if against is None else Path(against)))
+    curve = one_scene(Path(photographs), words, sorted({*lambdas}), uncompressed, device)
+    table = None if against is None else Path(against)
+    return Report(status=run_experiment(curve, Options(Path(output), jobs=jobs, against=table)))
 
 
 @command("train,render,rd")
@@ -152,7 +133,8 @@ def experiment(
     A cell is SCENE/METHOD/lambda-L/seed-S: one training, encode, eval --json. It is done if
     DIR/cells/CELL/result.json is complete and was made by the same commands, settings, photographs and version of
     refcodec. The command runs the other cells, and continues interrupted ones. DIR gets results.csv (a row for each
-    cell), tables.md (means and sample standard deviations over seeds, comparisons) and curves/ (PNG, SVG).
+    cell), tables.md (means and sample standard deviations over seeds, comparisons), which it prints, and curves/ (PNG,
+    SVG).
     Ctrl-C stops the training runs, which save their state.
 
     --engine ray runs cells on Ray, on this machine or on the cluster of RAY_ADDRESS. All machines of a cluster need

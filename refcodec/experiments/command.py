@@ -1,4 +1,4 @@
-"""The work of `refcodec experiment`: it runs the missing cells, then writes the tables of all cells that are done."""
+"""The work of `experiment` and `rd`: it runs the missing cells, then writes the tables of all cells that are done."""
 
 from __future__ import annotations
 
@@ -10,15 +10,16 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..files.lock import hold_folder
+from ..files.outputs import check_apart
 from ..files.stage import write_file
 from ..files.terminal import note, say
 from ..photographs.colmap import IMAGE_SUFFIXES
-from ..photographs.photographs import TEST_EVERY, PhotographError, parse_size, read_photographs
+from ..photographs.photographs import PhotographError, parse_background, parse_size, read_photographs
 from ..statuses import DONE, INTERRUPTED
 from .cells import Cell, cells, result_of
-from .jobs import Run, Watch, claim, run_job, run_jobs
-from .plan import Experiment, ExperimentError
-from .tables import CSV, CURVES, MARKDOWN, as_csv, as_markdown, row, write_curves
+from .jobs import Run, RunError, Watch, claim, run_job, run_jobs
+from .plan import CODED, Experiment, ExperimentError
+from .tables import BD_POINTS, CSV, CURVES, MARKDOWN, as_csv, as_markdown, compare, read_curve, row, write_curves
 
 FORMAT, MARK, COPY = "C3GS experiment", "experiment.json", "experiment.toml"
 # Images, models of COLMAP, transforms of NeRF, points.
@@ -32,7 +33,8 @@ class Options:
     """The options of the command.
 
     jobs: cells at a time, None for the engine's own number. threads: of each training run, None likewise. only:
-    patterns of the cells to run, none for all. tables: whether nothing is run.
+    patterns of the cells to run, none for all. tables: whether nothing is run. against: a table whose curve is compared
+    with that of the method `coded` of the only scene.
     """
 
     folder: Path
@@ -41,24 +43,29 @@ class Options:
     threads: int | None = None
     only: tuple[str, ...] = ()
     tables: bool = False
+    against: Path | None = None
 
 
 def run_experiment(experiment: Experiment, options: Options) -> int:
     """Returns the exit status.
 
-    Raises ExperimentError for a fault that is found before anything runs, RunError for a folder or an engine that
-    cannot be used, and OSError.
+    Raises ExperimentError for a fault that is found before anything is written, RunError for a folder, an engine or a
+    curve that cannot be used, UsageError if an output is an input, and OSError.
     """
     chosen, folder = list(cells(experiment, options.only)), options.folder.absolute()
     if not chosen:
         first = next(cells(experiment)).name
         raise ExperimentError(f"no cell has a name like {' or '.join(options.only)}; the first one is {first}")
+    other = [point for point in read_curve(options.against) if point["lambda_r"]] if options.against else None
+    if other is not None and (least := min(len(experiment.lambdas), len(other))) < BD_POINTS:
+        raise RunError(f"BD-rate needs {BD_POINTS} points or more, here and in {options.against}: there are {least}")
+    digests, inputs = ({}, []) if options.tables else _inputs(experiment, chosen)
+    check_apart([folder / name for name in (MARK, COPY, CSV, MARKDOWN)], [options.against, *inputs])
     claim(folder, MARK, FORMAT)
     if options.tables:
         _write_tables(experiment, options.folder)
         return DONE
     with hold_folder(folder):
-        digests = _digests(experiment, chosen)
         waiting = [cell for cell in chosen if result_of(cell, folder, digests[cell.scene.name]) is None]
         write_file(folder / COPY, experiment.text)
         note(f"{len(chosen) - len(waiting)} of {len(chosen)} cells are done before")
@@ -82,6 +89,14 @@ def run_experiment(experiment: Experiment, options: Options) -> int:
         return INTERRUPTED
     if failed:
         note(f"refcodec: {len(failed)} of {len(chosen)} cells failed; the same command runs them again")
+    if not failed and other is not None:
+        own = read_curve(folder / CSV)
+        stated = {"scene": own[0]["scene"], "method": str(options.against)}
+        write_curves(folder / CURVES, own + [{**point, **stated} for point in other])
+        difference = compare(other, [point for point in own if point["method"] == CODED])
+        say(f"BD-rate {difference.rate:+.2f} %, BD-PSNR {difference.psnr:+.3f} dB against {options.against}")
+        if difference.warning:
+            note(f"refcodec: {difference.warning}")
     return failed[0].status if failed else DONE
 
 
@@ -99,18 +114,22 @@ def _engine(options: Options, folder: Path, device: str) -> Iterator[tuple[int, 
         yield jobs, options.threads or max(1, (os.cpu_count() or 1) // jobs), run_job
 
 
-def _digests(experiment: Experiment, chosen: Sequence[Cell]) -> dict[str, str]:
-    """Returns the digests of the photographs of some cells, by scene. Raises ExperimentError for unusable ones."""
-    sizes = {(cell.scene.name, cell.settings.size): cell.scene for cell in chosen}
-    digests: dict[str, str] = {}
-    for (name, size), scene in sizes.items():
-        path = experiment.photographs(scene)
+def _inputs(experiment: Experiment, chosen: Sequence[Cell]) -> tuple[dict[str, str], list[Path]]:
+    """Returns the digests of the photographs of some cells, by scene, and their files.
+
+    Raises ExperimentError for unusable ones.
+    """
+    digests, places = dict[str, str](), list[Path]()
+    for cell in {(cell.scene.name, cell.settings.size): cell for cell in chosen}.values():
+        path, settings, name = experiment.photographs(cell.scene), cell.settings, cell.scene.name
         try:
-            read_photographs(path, parse_size(size), holdout=TEST_EVERY if scene.holdout is None else scene.holdout)
+            background = parse_background(settings.background)
+            photographs = read_photographs(path, parse_size(settings.size), background, holdout=settings.holdout)
         except PhotographError as error:
             raise ExperimentError(f"scene {name}: {error}") from None
+        places += photographs.places()
         digests[name] = digests.get(name) or _digest(path)
-    return digests
+    return digests, places
 
 
 def _digest(folder: Path) -> str:
@@ -137,8 +156,8 @@ def _write_tables(experiment: Experiment, folder: Path) -> None:
     if missing:
         missing = f"{len(every) - len(rows)} of {len(every)} cells are missing: {missing}"
     write_file(folder / CSV, as_csv(rows).encode())
-    write_file(folder / MARKDOWN, as_markdown(experiment.path.stem, rows, missing, experiment.baseline).encode())
+    text = as_markdown(experiment.path.stem, rows, missing, experiment.baseline)
+    write_file(folder / MARKDOWN, text.encode())
     write_curves(folder / CURVES, rows)
+    say(text, lines=True)
     say(f"{len(rows)} of {len(every)} cells are in {folder / MARKDOWN}, {CSV} and {CURVES}")
-    if missing:
-        say(missing)

@@ -6,6 +6,7 @@ A separate process decodes the file.
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,10 +22,11 @@ from ..files.outputs import check_apart
 from ..files.stage import write_file
 from ..folder.layout import REPORT_FILE, SCENE_FILE
 from ..folder.read import read_folder
+from ..photographs.photographs import TEST_EVERY, PhotographSet, parse_background, parse_size, read_photographs
 from ..rendering.images import image_names
 from ..statuses import DONE, FAULT, INTERRUPTED
+from ..train.settings import TrainSettings
 from .cells import Evaluation, Training
-from .data_set import DataSet
 from .jobs import Job, RunError, Step, claim, has, read, run_job, run_jobs, shown
 from .page import page
 
@@ -59,6 +61,25 @@ FILES = {
 }
 
 
+# Words of `train` that state how photographs are read, and where a training begins, in the order of the arguments.
+WORDS = ("static", "background", "holdout", "anchors", "voxel", "degree", "set", "up")
+
+
+def options_of(words: Mapping[str, Any]) -> tuple[str, ...]:
+    """Returns WORDS as arguments of `train`."""
+    made: list[str] = []
+    for name in WORDS:
+        value = words.get(name)
+        if name == "up" and value:
+            # As an argument by itself, -y would be an option.
+            made.append(f"--{name}={value}")
+        elif name == "static":
+            made += [f"--{name}"] if value else []
+        elif value is not None:
+            made += [word for one in (value if name == "set" else [value]) for word in (f"--{name}", str(one))]
+    return tuple(made)
+
+
 class _Digest(Struct):
     whole: str
 
@@ -71,11 +92,18 @@ class _Decoded(Struct):
 
 @dataclass(frozen=True)
 class Demo:
-    """The settings of a demo. folder: for the results. steps: of each training run."""
+    """A demo. folder: for the results. photographs: their folder. options: further arguments of `train`."""
 
     folder: Path
-    photographs: DataSet
-    steps: int
+    photographs: Path
+    settings: TrainSettings
+    options: tuple[str, ...]
+
+    def read(self) -> PhotographSet:
+        """The photographs. Raises PhotographError."""
+        settings = self.settings
+        background = parse_background(settings.background)
+        return read_photographs(self.photographs, parse_size(settings.size), background, holdout=settings.holdout)
 
     def path(self, name: str) -> Path:
         return self.folder / name
@@ -85,11 +113,11 @@ class Demo:
         return Job(name, self.path(f"{name}.steps.json"), steps)
 
     def training(self, name: str, lambda_r: float) -> Job:
-        output, data = self.path(name), self.photographs
-        words = ("--lambda", f"{lambda_r:g}", "--steps", str(self.steps), *data.options, "--size", data.size)
+        output, steps = self.path(name), str(self.settings.steps)
+        words = ("--lambda", f"{lambda_r:g}", "--steps", steps, *self.options, "--size", self.settings.size)
         state = self.path(f"{name}.train-state")
         step = Step(
-            ("train", str(data.folder), "-o", str(output), *words),
+            ("train", str(self.photographs), "-o", str(output), *words),
             output / REPORT_FILE,
             state=state,
             free=("--threads", "1", "--progress"),
@@ -97,9 +125,11 @@ class Demo:
         return self.job(name, step)
 
     def _evaluation(self, name: str, scene: Path, made: Path) -> Step:
-        data, images = self.photographs, str(self.path(f"images-{name}"))
-        words = ("eval", str(scene), str(data.folder), *data.evaluated, "--images", images, "--json")
-        return Step(words, self.path(f"{name}.eval.json"), (made,), printed=True)
+        settings, images = self.settings, str(self.path(f"images-{name}"))
+        # A scene has its background. A file does not state the held-out photographs.
+        held = () if settings.holdout == TEST_EVERY else ("--holdout", str(settings.holdout))
+        words = ("eval", str(scene), str(self.photographs), "--size", settings.size, *held, "--images", images)
+        return Step((*words, "--json"), self.path(f"{name}.eval.json"), (made,), printed=True)
 
     def jobs(self) -> list[list[Job]]:
         """The jobs that train, and those after them: for the uncompressed scene, and for the file."""
@@ -131,16 +161,16 @@ def find_example(name: str) -> Path:
     return folder
 
 
-def run_demo(folder: Path, photographs: DataSet, steps: int) -> tuple[Path, bool]:
+def run_demo(demo: Demo) -> tuple[Path, bool]:
     """Trains, encodes, decodes, evaluates and writes the page.
 
     Finished commands with the same settings are not repeated. Returns the page's path, and whether both training runs
     finished. Raises RunError, also after Ctrl-C without results; PhotographError; SceneFolderError; UsageError if the
     folder is an input, or another run writes to it; OSError.
     """
-    demo = Demo(folder, photographs, steps)
+    folder = demo.folder
     # Errors in the photographs are reported before anything is written.
-    places = photographs.read().places()
+    places = demo.read().places()
     check_apart([folder / MARK, folder / PAGE], places)
     claim(folder, MARK, FORMAT)
     with hold_folder(folder):
@@ -190,7 +220,7 @@ def collect(demo: Demo) -> dict[str, Any]:
     names = UNCOMPRESSED, CODED
     reports = [read(demo.path(name) / REPORT_FILE, Training) for name in names]
     before, after = (read(demo.path(f"{name}.eval.json"), Evaluation) for name in names)
-    photographs, name = demo.photographs.read(), demo.photographs.folder.name
+    photographs, name = demo.read(), demo.photographs.name
     held_out = {p.camera.name: p.image for p in (photographs.test or photographs.train)}
     files = image_names(row.image for row in after.images)
     views = [
@@ -215,7 +245,7 @@ def collect(demo: Demo) -> dict[str, Any]:
         "parts": sizes(before.parts, after.parts),
         "anchors": (before.anchors, after.anchors),
         "trained": [report.steps for report in reports],
-        "steps_wanted": demo.steps,
+        "steps_wanted": demo.settings.steps,
         "lambda_r": LAMBDA,
         "digest": check_decoder(demo),
         "steps": [
@@ -228,7 +258,7 @@ def collect(demo: Demo) -> dict[str, Any]:
             for name, report in zip(names, reports, strict=True)
         },
         "files": [(name, text, _size(demo.path(name))) for name, text in FILES.items()],
-        "credits": _credits(demo.photographs.folder),
+        "credits": _credits(demo.photographs),
     }
 
 

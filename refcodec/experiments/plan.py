@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -16,12 +17,14 @@ from ..files.text import printable
 from ..photographs.photographs import PhotographError, parse_size
 from ..statuses import UsageError
 from ..train.settings import PRESETS, STATIC_CHANGES, TrainSettings
-from ..train.settings_file import SettingsError, assigned, varied
+from ..train.settings_file import SettingsError, assigned, chosen_settings, varied
 
 # Bounds of the input: entries of a list, cells.
 LIST_MAX, CELLS_MAX = 1000, 100_000
 SEED_MAX = (1 << 63) - 1
 _VARIABLE = re.compile(r"\$\{([^}]*)\}")
+# The methods of an experiment of one scene.
+CODED, UNCOMPRESSED = "coded", "uncompressed"
 # Settings with their own key, which must be used instead.
 OWN_KEYS = {
     "rate.lambda_r": "lambdas",
@@ -217,6 +220,42 @@ def parse_experiment(path: Path, data: bytes) -> Experiment:
         hint = "; rates is now named lambdas, as it lists lambda_r" if "field `rates`" in text else hint
         raise ExperimentError(printable(f"{path}: {where}{text}{hint}", 400)) from None
     return experiment
+
+
+def one_scene(
+    photographs: Path, words: Mapping[str, Any], lambdas: Sequence[float], uncompressed: bool, device: str | None
+) -> Experiment:
+    """The experiment of one scene at some lambda_r. Raises SettingsError and ExperimentError.
+
+    words: options of `train`, which become keys of the file and settings of the scene. uncompressed: whether there is a
+    method of this kind, too.
+    """
+    chosen, preset = chosen_settings(words), words.get("preset", "fast")
+    options = {"background": None if chosen.background == "auto" else chosen.background}
+    options |= {"start.voxel": words.get("voxel"), "start.anchors": words.get("anchors"), "degree": words.get("degree")}
+    given = {name: value for name, value in options.items() if value is not None}
+    changes = [one for one in words.get("set", ()) if one.partition("=")[0].strip() not in {*OWN_KEYS, *given}]
+    scene = {
+        **{"name": scene_name(photographs), "photographs": str(photographs.absolute())},
+        **{"size": chosen.size, "holdout": chosen.holdout, "up": words.get("up")},
+        "set": [*(f"{name}={value}" for name, value in given.items()), *changes],
+    }
+    methods = [{"name": CODED, "preset": preset, "static": words.get("static", False)}]
+    methods += [{"name": UNCOMPRESSED, "kind": UNCOMPRESSED, "preset": preset}] if uncompressed else []
+    lines = _toml({"lambdas": lambdas, "seeds": [chosen.seed], "steps": chosen.steps, "device": device})
+    for key, tables in (("scenes", [scene]), ("methods", methods)):
+        lines += [line for one in tables for line in (f"[[{key}]]", *_toml(one))]
+    return parse_experiment(Path(f"{scene['name']}.toml"), ("\n".join(lines) + "\n").encode())
+
+
+def scene_name(photographs: Path) -> str:
+    """The name of a scene: that of its folder, with - for all characters that a name cannot have."""
+    return re.sub(r"[^A-Za-z0-9._+-]", "-", photographs.resolve().name).strip("._+-")[:64] or "scene"
+
+
+def _toml(table: Mapping[str, Any]) -> list[str]:
+    """The lines of a table with texts, numbers and lists, those of JSON, without values that are None or empty."""
+    return [f"{key} = {json.dumps(value)}" for key, value in table.items() if value not in (None, [])]
 
 
 def _check_cells(experiment: Experiment) -> None:

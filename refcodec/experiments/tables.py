@@ -91,6 +91,26 @@ def grouped(rows: Sequence[Row], *keys: str) -> dict[tuple[Any, ...], list[Row]]
     return groups
 
 
+def read_curve(path: Path) -> list[Row]:
+    """The points of a table with the columns bytes and psnr. Raises RunError.
+
+    Without the column lambda_r, the number of a point stands for it.
+    """
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            lines = [{"lambda_r": number, **line} for number, line in enumerate(csv.DictReader(file), 1)]
+        rows: list[Row] = [
+            {**line, **{key: float(line[key]) for key in ("bytes", "psnr", "lambda_r")}} for line in lines
+        ]
+    except OSError as error:
+        raise RunError(f"{path}: {error.strerror}") from None
+    except (KeyError, TypeError, ValueError, csv.Error):
+        raise RunError(f"{path} is not a table with numbers in the columns bytes and psnr") from None
+    if not all(row["bytes"] > 0 and math.isfinite(row["bytes"]) and math.isfinite(row["psnr"]) for row in rows):
+        raise RunError(f"{path} has sizes or PSNRs that no file has")
+    return rows
+
+
 # --- comparisons ------------------------------------------------------------------------------------------------------
 
 

@@ -109,11 +109,9 @@ def more_inputs(words: str) -> None:
 
 def finished_curve(folder: Path) -> None:
     """Makes the result of the only cell of an experiment."""
-    from refcodec.experiments import cells, command, jobs, rd  # noqa: PLC0415
+    from refcodec.experiments import cells, command, jobs, plan  # noqa: PLC0415
 
-    scene = {"name": "photos", "photographs": "photos", "size": "16", "holdout": 8, "set": []}
-    plan = rd.one_scene(scene, "fast", [0.01], uncompressed=False, seeds=[0], steps=4000)
-    (cell,) = cells.cells(plan)
+    (cell,) = cells.cells(plan.one_scene(Path("photos"), {"size": "16"}, [0.01], False, None))
     jobs.claim(folder, command.MARK, command.FORMAT)
     job = cell.job(folder, Path("photos"), command._digest(Path("photos")), 1)
     record = {step.name: {"key": "", "seconds": 1.0, "processor_seconds": 1.0} for step in job.steps}

@@ -18,8 +18,7 @@ from refcodec.cli.main import main
 from refcodec.experiments import on_ray
 from refcodec.experiments.cells import read_result
 from refcodec.experiments.jobs import Job, Outcome, RunError
-from refcodec.experiments.plan import read_experiment
-from refcodec.experiments.rd import scene_name
+from refcodec.experiments.plan import read_experiment, scene_name
 from refcodec.files.lock import hold_folder
 
 PHOTOGRAPHS = Path(__file__).resolve().parents[2] / "examples" / "photographs" / "caliterra"
@@ -125,6 +124,7 @@ def test_errors(place: Path, call: Call, monkeypatch: pytest.MonkeyPatch) -> Non
     assert "pip install 'refcodec[ray]'" in refused("--engine", "ray")
     change(place, '"photographs"', '"none"')
     assert "scene one: " in refused()
+    change(place, '"none"', '"photographs"')
     (place / "out" / "experiment.json").write_text("{}")
     assert "choose another one" in refused()
     (place / "x.toml").unlink()
