@@ -38,7 +38,7 @@ ORDER = {
     "Specification": ("specification", "/SPEC"),
     "More": (
         *("/ARCHITECTURE", "/CONTRIBUTING", "/CHANGELOG", "/SECURITY", "/conformance/README", "/vectors/README"),
-        *("/implementations/README", "/implementations/MATRIX", "/benchmarks/RESULTS"),
+        *("/implementations/README", "/benchmarks/RESULTS"),
         *("/refcodec/viewer/README", "/refcodec/web/README"),
     ),
 }

@@ -161,7 +161,7 @@ def test_both_distributions_are_the_same(built: Path) -> None:
     places = {"SPEC.md": "refcodec/data/SPEC.md", EXAMPLE: f"conformance/data/{EXAMPLE}"}
     places |= {name: name for name in ("refcodec/web/c3gs.js", "refcodec/web/c3gs.wasm", "refcodec/web/package.json")}
     pages = ("pages/base.html", "pages/parts.html", "pages/style.css", "viewer/worker.js")
-    pages += tuple(f"{room}/page.html" for room in ("api", "experiments", "inspect/page", "viewer"))
+    pages += tuple(f"{room}/page.html" for room in ("experiments", "inspect/page", "viewer"))
     places |= {f"refcodec/{name}": f"refcodec/{name}" for name in pages}
     for name, place in places.items():
         assert direct[place] == (ROOT / name).read_bytes()
