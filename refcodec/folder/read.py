@@ -87,7 +87,8 @@ def _read_dimensions(doc: FolderDocument[SceneFile], render_model: int) -> tuple
     if fault:
         field, value, allowed = fault
         raise doc.fault(f"dimensions.{field}", f"is {value}, but must be {allowed}")
-    return doc.values.dimensions, names[profile]
+    # msgspec leaves a default to the class: vars() of the result must have it, too.
+    return replace(doc.values.dimensions), names[profile]
 
 
 def _read_document(doc: FolderDocument[SceneFile], path: Path) -> Scene:

@@ -138,9 +138,10 @@ class Made(TorchFunctionMode):
 
 def drawn_on_cpu(*values: Any) -> splat.Drawn:
     """splat.draw, of tensors on the pretended device too, which must then all be there."""
-    *gaussians, camera, settings, screen = values
+    gaussians, (camera, settings, *more) = values[:5], values[5:]
     if not isinstance(gaussians[0], Pretended):
         return splat.draw(*values)
+    screen = more[0] if more else None
     assert all(isinstance(v, Pretended) for v in gaussians)
     assert screen is None or isinstance(screen, Pretended)
     here = [v.cpu() for v in gaussians]
