@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import datetime
-import os
 import shlex
 import sys
 import time
@@ -23,7 +22,7 @@ from ..report.audit import audit
 from ..report.schema import Description
 from ..runner.run import Options, run
 from .errors import UsageError, note
-from .shared import add_vectors, check_files, positive, suite
+from .shared import add_jobs, add_slow, add_vectors, check_files, suite
 
 
 def registry(arguments: argparse.Namespace) -> int:
@@ -108,10 +107,6 @@ def add(commands: Any) -> None:
         action="store_true",
         help="run all encoders and decoders of the folder on given scenes, then as --write; from the project's folder",
     )
-    parser.add_argument(
-        "--jobs", type=positive, default=os.cpu_count() or 1, help="number of processes (default: one for each core)"
-    )
-    parser.add_argument(
-        "--slow", type=float, default=1.0, metavar="X", help="factor of the time budgets (default: %(default)s)"
-    )
+    add_jobs(parser)
+    add_slow(parser)
     parser.set_defaults(run=registry)

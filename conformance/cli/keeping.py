@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import os
 from pathlib import Path
 from typing import Any
 
 from ..manifest import MANIFEST, VECTORS
-from .shared import check_template, positive
+from .shared import add_jobs, check_template, positive
 
 
 def _fuzz(arguments: argparse.Namespace) -> int:
@@ -51,9 +50,7 @@ def _add_selftest(commands: Any) -> None:
         default=VECTORS / MANIFEST,
         help="the suite (default: that of this program)",
     )
-    selftest.add_argument(
-        "--jobs", type=positive, default=os.cpu_count() or 1, help="number of processes (default: one for each core)"
-    )
+    add_jobs(selftest)
     selftest.add_argument(
         "--table", action="store_true", help="also print the bugs in Markdown, each with the vector that catches it"
     )
@@ -71,9 +68,7 @@ def _add_fuzz(commands: Any) -> None:
         "-n", "--count", type=positive, default=1000, help="number of valid and invalid files (default 1000)"
     )
     fuzz.add_argument("--seed", type=int, default=0, help="number of the first batch of files (default 0)")
-    fuzz.add_argument(
-        "--jobs", type=positive, default=os.cpu_count() or 1, help="number of processes (default: one for each core)"
-    )
+    add_jobs(fuzz)
     fuzz.add_argument(
         "--keep", type=Path, default=Path("out/fuzz"), help="folder for files on which the decoders disagree"
     )

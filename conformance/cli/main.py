@@ -37,8 +37,8 @@ def _report(error: Exception) -> int:
     """Prints an error as one line; returns its exit status."""
     if isinstance(error, ModuleNotFoundError):
         note(
-            f"{error.name} is not installed: pip install 'refcodec[conformance]' for run, verify-report, export and "
-            "check-encoder, '.[test]' for the others"
+            f"{error.name} is not installed: pip install 'refcodec[conformance]' for run, verify-report, "
+            "check-encoder and registry, '.[test]' for the others"
         )
         return statuses.USAGE
     if statuses.is_out_of_memory(error):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import datetime
-import os
 import re
 import shlex
 import sys
@@ -27,7 +26,7 @@ from ..runner.grading import GRADE_CODE, GRADE_EXACT
 from ..runner.run import Options, Run, run
 from ..runner.selection import select
 from .errors import UsageError, note
-from .shared import add_vectors, check_files, check_template, positive, suite
+from .shared import add_jobs, add_slow, add_vectors, check_files, check_template, suite
 
 # The files of a report.
 REPORTS = {
@@ -183,13 +182,6 @@ def verify_report(arguments: argparse.Namespace) -> int:
     return statuses.REJECTED if wrong else statuses.DONE
 
 
-def _factor(text: str) -> float:
-    value = float(text)
-    if not 0 < value < 1e6:
-        raise argparse.ArgumentTypeError("must be above 0")
-    return value
-
-
 def _add_grade(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--grade",
@@ -216,16 +208,8 @@ def add(commands: Any) -> None:
         parser.add_argument(
             "--gaussians", metavar="COMMAND", help="a command with {input}, {camera} and {output}, quoted as in a shell"
         )
-        parser.add_argument(
-            "--jobs",
-            type=positive,
-            default=os.cpu_count() or 1,
-            metavar="N",
-            help="number of processes (default: one for each core)",
-        )
-        parser.add_argument(
-            "--slow", type=_factor, default=1.0, metavar="X", help="factor of the time budgets (default: %(default)s)"
-        )
+        add_jobs(parser)
+        add_slow(parser)
         return parser
 
     parser = shared("run", "test a decoder, and report where it first goes wrong", "-- ./mydecoder {input} {output}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import shlex
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,6 +20,31 @@ def positive(text: str) -> int:
     if value < 1:
         raise argparse.ArgumentTypeError("must be at least 1")
     return value
+
+
+def _factor(text: str) -> float:
+    value = float(text)
+    if not 0 < value < 1e6:
+        raise argparse.ArgumentTypeError("must be above 0")
+    return value
+
+
+def add_jobs(parser: argparse.ArgumentParser) -> None:
+    """Adds the option for the number of processes."""
+    parser.add_argument(
+        "--jobs",
+        type=positive,
+        default=os.cpu_count() or 1,
+        metavar="N",
+        help="number of processes (default: one for each core)",
+    )
+
+
+def add_slow(parser: argparse.ArgumentParser) -> None:
+    """Adds the option for slower machines."""
+    parser.add_argument(
+        "--slow", type=_factor, default=1.0, metavar="X", help="factor of the time budgets (default: %(default)s)"
+    )
 
 
 def check_files(manifest: Manifest, text: str) -> None:

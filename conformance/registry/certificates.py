@@ -16,7 +16,7 @@ from ..report.audit import audit
 from ..report.schema import Record
 from ..runner.grading import GRADE_EXACT
 from .implementations import Implementation
-from .matrix import Matrix, is_right
+from .matrix import Matrix
 
 
 @dataclass(frozen=True)
@@ -94,10 +94,10 @@ def _check_whose(record: Record, implementation: Implementation) -> None:
 
 def of_encoder(implementation: Implementation, matrix: Matrix) -> Certificate:
     """Returns the certificate of an encoder: whether its files in the matrix are right."""
-    rows = [row for row in matrix if row["encoder"] == implementation.key]
-    wrong = sum(not is_right(row) for row in rows)
+    rows = [row for row in matrix if row.encoder == implementation.key]
+    wrong = sum(not row.right for row in rows)
     if not rows:
         return Certificate(implementation, "encoder", "not in the matrix", None)
-    decoders = len({name for row in rows for name in row["digests"]})
+    decoders = len({name for row in rows for name in row.digests})
     text = f"{wrong} of {len(rows)} files wrong" if wrong else f"{len(rows)} files, {decoders} decoders agree"
     return Certificate(implementation, "encoder", text, not wrong)

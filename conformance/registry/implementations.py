@@ -6,23 +6,22 @@ import shlex
 from pathlib import Path
 from typing import Annotated, Literal
 
-import msgspec
 from msgspec import Meta, Struct
 
-from refcodec.files.documents import DocumentError, parse_toml
+from refcodec.files.documents import checked, read_toml
 from refcodec.files.text import printable
 from refcodec.statuses import UsageError
 
-# A text of one line that needs no escape in Markdown, HTML and SVG.
-Text = Annotated[str, Meta(pattern=r"^[\w .,:;!?'()+/@%-]{1,80}$")]
-Command = Annotated[str, Meta(pattern=r"^[^\x00-\x1f`]{1,1000}$")]
+# A text that needs no escape in Markdown, HTML and SVG.
+Text = Annotated[str, Meta(pattern=r"^[^\x00-\x1f<>|\[\]`*&\"\\]{1,80}\Z")]
+Command = Annotated[str, Meta(pattern=r"^[^\x00-\x1f`]{1,1000}\Z")]
 
 
 class Decoder(Struct, frozen=True, forbid_unknown_fields=True):
     """How a decoder is run: the commands of `conformance run`, and one that builds it. report: a path."""
 
     run: Command
-    report: Annotated[str, Meta(pattern=r"^[\w-]+(/[\w.-]+)*\.json\.gz$")]
+    report: Annotated[str, Meta(pattern=r"^[\w-]+(/[\w.-]+)*\.json\.gz\Z")]
     serve: Command | None = None
     gaussians: Command | None = None
     build: Command | None = None
@@ -40,13 +39,13 @@ class Implementation(Struct, frozen=True, forbid_unknown_fields=True):
     the page, and never run.
     """
 
-    key: Annotated[str, Meta(pattern=r"^[\w-]+$")]
+    key: Annotated[str, Meta(pattern=r"^[\w-]+\Z")]
     name: Text
     version: Text
     author: Text
     licence: Text
     language: Text
-    source: Annotated[str, Meta(pattern=r"^(https://)?[\w./~%+-]{1,200}$")]
+    source: Annotated[str, Meta(pattern=r"^(https://)?[\w./~%+-]{1,200}\Z")]
     decoder: Decoder | None = None
     encoder: dict[Literal["json", "folder", "ply", "build"], Command] = {}
 
@@ -67,12 +66,16 @@ def load(folder: Path) -> list[Implementation]:
 
 def _read(path: Path) -> Implementation:
     try:
-        read = msgspec.convert({**parse_toml(path.read_bytes()), "key": path.stem}, Implementation)
+        read: Implementation = checked({**read_toml(path), "key": path.stem}, Implementation)
+        for name in ("name", "version", "author", "licence", "language"):
+            if not getattr(read, name).isprintable():
+                raise ValueError(f"{name} has characters that are not printable")
         decoder = read.decoder and (read.decoder.run, read.decoder.serve, read.decoder.gaussians)
-        for command in filter(None, (*(decoder or ()), *read.encoder.values())):
-            shlex.split(command)
+        for command in (each for each in (*(decoder or ()), *read.encoder.values()) if each is not None):
+            if not shlex.split(command):
+                raise ValueError("a command has no words")
         if not (read.decoder or read.encoder):
             raise ValueError("it needs [decoder] or [encoder]")
-    except (DocumentError, ValueError) as error:
+    except ValueError as error:
         raise UsageError(f"{printable(str(path))}: {printable(str(error), 300)}") from None
     return read

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shlex
 import subprocess
 import sys
@@ -11,14 +12,14 @@ import threading
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
-from typing import Any
 
+from msgspec import Struct, to_builtins
 from tqdm import tqdm
 
 from refcodec.bitstream import codec
 from refcodec.bitstream.errors import BitstreamError
 from refcodec.bitstream.reconstruction import digest
-from refcodec.files.documents import DocumentError, read_json
+from refcodec.files.documents import DocumentError, checked, read_json
 from refcodec.statuses import UsageError
 
 from ..runner import process
@@ -26,8 +27,6 @@ from ..runner.folder import Folder
 from ..runner.grading import read
 from .implementations import Implementation
 
-# A row for each file of an encoder. "digests": the answers of the decoders by name.
-Matrix = list[dict[str, Any]]
 NAME = "matrix.json"
 _TINY = ("vectors/tiny-example.c3gs", "vectors/tiny-packed.c3gs", "vectors/valid/static-degree-3.c3gs")
 # The given scenes: the files of the repository that hold them, by the forms that they are given in. JSON: as in SPEC.md
@@ -41,10 +40,38 @@ SCENES: dict[str, tuple[str, ...]] = {
 _SECONDS, _MEMORY, _ENCODING = 120, 1 << 30, 600
 
 
-def is_right(row: dict[str, Any]) -> bool:
-    """Whether a file is canonical, and every decoder gives the scene that was meant, or the same one if none was."""
-    digests = set(row["digests"].values())
-    return row["canonical"] and len(digests) == 1 and row["expected"] in (None, *digests)
+class Row(Struct, frozen=True, forbid_unknown_fields=True):
+    """A file of an encoder, from a scene in a form. expected: the digest that was meant, None if the form has none.
+
+    fault: of the encoder, or "". digests: the answers of the decoders by name.
+    """
+
+    encoder: str
+    form: str
+    scene: str
+    bytes: int
+    canonical: bool
+    expected: str | None
+    fault: str
+    digests: dict[str, str]
+
+    @property
+    def digest(self) -> str:
+        """The digest that was meant, or the one that most decoders give, or ""."""
+        given = sorted(filter(_is_digest, self.digests.values()))
+        return self.expected or max(given, key=given.count, default="")
+
+    @property
+    def right(self) -> bool:
+        """Whether the file is canonical, and every decoder gives the scene that was meant, or the same if none was."""
+        return self.canonical and self.digest != "" and {*self.digests.values()} == {self.digest}
+
+
+Matrix = list[Row]
+
+
+def _is_digest(text: str) -> bool:
+    return re.fullmatch("[0-9a-f]{64}", text) is not None
 
 
 def load(folder: Path) -> Matrix:
@@ -53,14 +80,14 @@ def load(folder: Path) -> Matrix:
     Raises OSError, and UsageError if a file was meant to be another scene than the given one, if that is here.
     """
     try:
-        matrix: Matrix = read_json(folder / NAME)
+        matrix: Matrix = checked(read_json(folder / NAME), Matrix)
     except FileNotFoundError:
         return []
     except DocumentError as error:
         raise UsageError(f"{folder / NAME}: {error}") from None
     for row in matrix:
-        if Path(row["scene"]).is_file() and row["expected"] != expected(row["form"], row["scene"]):
-            raise UsageError(f"the matrix was edited: {row['scene']} has another digest than {row['expected']}")
+        if Path(row.scene).is_file() and row.expected != expected(row.form, row.scene):
+            raise UsageError(f"the matrix was edited: {row.scene} has another digest than {row.expected}")
     return matrix
 
 
@@ -71,7 +98,7 @@ def expected(form: str, source: str) -> str | None:
 
 def text(matrix: Matrix) -> str:
     """Returns the matrix as JSON, with a line for each file."""
-    return "[\n" + ",\n".join(json.dumps(row) for row in matrix) + "\n]\n"
+    return "[\n" + ",\n".join(json.dumps(to_builtins(row)) for row in matrix) + "\n]\n"
 
 
 def _given(form: str, source: str, place: Path) -> None:
@@ -141,7 +168,7 @@ def run(
             scene = Path(folder, f"scene.{form}")
             _given(form, source, scene)
             data, fault = _encoded(command, scene, Path(folder, "file.c3gs"))
-        row = {"encoder": key, "form": form, "scene": source, "bytes": len(data), "canonical": _is_canonical(data)}
         digests = {} if fault else {name: _decoded(own, data) for name, own in decoders.items()}
-        rows.append({**row, "expected": expected(form, source), "fault": fault, "digests": digests})
+        canonical, meant = _is_canonical(data), expected(form, source)
+        rows.append(Row(key, form, source, len(data), canonical, meant, fault, digests))
     return rows

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path, PurePosixPath
-from typing import Any
 
 import jinja2
 
 from ..manifest import Manifest
 from ..report.record import manifest_digest
 from .certificates import Certificate
-from .matrix import Matrix, is_right
+from .matrix import Matrix, Row
 
 PAGE, BADGES = "README.md", "badges"
 _COLOURS = {True: "#2e7d32", False: "#b71c1c", None: "#616161"}
@@ -35,22 +34,21 @@ def badge(certificate: Certificate) -> str:
     return _TEMPLATES.get_template("badge.svg").render(label=label, text=text, edge=edge, right=right, colour=colour)
 
 
-def _shown(row: dict[str, Any], decoders: list[str]) -> tuple[dict[str, Any], list[str], bool]:
-    """Returns a row of the matrix, the texts of its decoders' answers, and whether the file is right."""
-    answers = sorted(row["digests"].values())
-    digest = row["expected"] or max(answers, key=answers.count, default="")
-    texts = [{None: "-", digest: "same"}.get(answer, f"**{answer}**") for answer in map(row["digests"].get, decoders)]
-    return {**row, "scene": PurePosixPath(row["scene"]).stem, "expected": digest}, texts, is_right(row)
+def _shown(row: Row, decoders: list[str]) -> tuple[Row, str, list[str]]:
+    """Returns a row of the matrix, the name of its scene, and the texts of its decoders' answers."""
+    same = {None: "-", row.digest: "same"}
+    texts = [same.get(answer, f"**{answer}**") for answer in map(row.digests.get, decoders)]
+    return row, PurePosixPath(row.scene).stem, texts
 
 
 def files(folder: Path, certificates: list[Certificate], matrix: Matrix, manifest: Manifest) -> dict[Path, str]:
     """Returns the page and the badges of a registry by path."""
-    decoders = sorted({name for row in matrix for name in row["digests"]})
+    decoders = sorted({name for row in matrix for name in row.digests})
     page = _TEMPLATES.get_template("page.jinja").render(
         certificates=certificates,
         decoders=decoders,
         matrix=[_shown(row, decoders) for row in matrix],
-        wrong=sum(not is_right(row) for row in matrix),
+        wrong=sum(not row.right for row in matrix),
         manifest=manifest,
         digest=manifest_digest(manifest),
     )

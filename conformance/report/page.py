@@ -9,7 +9,8 @@ from msgspec import to_builtins
 from refcodec.pages.environment import render
 
 from ..runner.grading import GRADES
-from .schema import STATUSES, Record
+from ..runner.run import STATUSES
+from .schema import Record
 from .summary import most_telling
 
 

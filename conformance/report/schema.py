@@ -10,9 +10,8 @@ from typing import Annotated, Literal
 from msgspec import UNSET, Meta, UnsetType
 
 from ..manifest import Count, Positive, Sha256, Strict, Text
-from ..runner.run import STATUSES, Grade, Number, Result, Status
+from ..runner.run import Grade, Number, Result, Status
 
-__all__ = ["STATUSES"]
 # The verdict that a vector counts for.
 Group = Annotated[str, Meta(pattern="^(any|rendering|(tiny|main) [0-9]+)$")]
 

@@ -12,9 +12,9 @@ from pathlib import Path
 from refcodec.files.text import printable
 
 from ..runner.grading import GRADES
-from ..runner.run import Result
+from ..runner.run import STATUSES, Result
 from .record import NOT_STATED
-from .schema import STATUSES, Record
+from .schema import Record
 
 # The most failures that are listed.
 _SHOWN = 10

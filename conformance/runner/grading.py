@@ -41,6 +41,7 @@ OVER = {
     "memory": "took too much memory",
     "output": "wrote too much",
     "start": "could not be started",
+    "left": "left processes that could not be ended",
     "answer": "gave an answer that cannot be read",
 }
 # More bytes than the digest of any scene covers (SPEC 9.3).

@@ -197,24 +197,29 @@ class _Decoder:
         return None
 
     def kill(self) -> None:
-        """Kills the decoder's process group, and its known descendants outside the group."""
+        """Kills the decoder's process group, and its known descendants outside the group.
+
+        A process of another user cannot be killed: it is waited for as long as for others, and then left.
+        """
         self._search()
         with contextlib.suppress(ProcessLookupError, PermissionError):  # the latter for zombies on some systems
             os.killpg(self._process.pid, signal.SIGKILL)
         for process in self._known:
             with contextlib.suppress(psutil.Error):
                 process.kill()
-        self._reap(0)
-        psutil.wait_procs(self._known - {self._root}, timeout=_GONE)
+        end = time.monotonic() + _GONE
+        while not self._reap() and time.monotonic() < end:
+            time.sleep(_PAUSE)
+        psutil.wait_procs(self._known - {self._root}, timeout=max(end - time.monotonic(), 0))
 
     def ended(self, over: str | None, bounds: Bounds) -> Ended:
         """Kills the decoder. Returns its end, after a last check of the bounds."""
         took = time.monotonic() - self.began
         self.kill()
         stderr = _excerpt(os.pread(self._errors.fileno(), FILE_BYTES, 0))
-        assert self.usage is not None
-        if over := over or self._wrote(bounds):
-            return Ended(None, None, over, stderr, took, None)
+        over = over or self._wrote(bounds)
+        if over or self.usage is None:
+            return Ended(None, None, over or "left", stderr, took, None)
         peak = self.usage.ru_maxrss * _RSS_UNIT
         peak = peak if peak > self._floor else 0
         over = bounds.passed(took, self.usage.ru_utime + self.usage.ru_stime - self._spent, peak)
@@ -237,10 +242,10 @@ class _Decoder:
                 sizes.append(path.lstat().st_size)
         return "output" if max(sizes) >= FILE_BYTES else None
 
-    def _reap(self, options: int = os.WNOHANG) -> bool:
-        """Whether the process has ended. options: of wait4, 0 to wait for the end."""
+    def _reap(self) -> bool:
+        """Whether the process has ended."""
         if self.usage is None:
-            pid, status, usage = os.wait4(self._process.pid, options)
+            pid, status, usage = os.wait4(self._process.pid, os.WNOHANG)
             if pid:
                 self.usage, self._process.returncode = usage, os.waitstatus_to_exitcode(status)
         return self.usage is not None
@@ -288,6 +293,13 @@ class Watcher:
 
         The bounds are those of run(), and the size of an answer. A decoder that passes one is started again.
         """
+        ended = self._ask(command, request, bounds)
+        # A late answer to an earlier request is not a fault of this one, for which the decoder is started again.
+        ended = self._ask(command, request, bounds) if ended.over == "other" else ended
+        return replace(ended, over="answer") if ended.over == "other" else ended
+
+    def _ask(self, command: Sequence[str], request: dict[str, Any], bounds: Bounds) -> Ended:
+        """As ask, once. The end of an answer to another request is "other"."""
         self._home = self._home or Folder()
         self._asked += 1
         line = json.dumps({"id": self._asked, **request}).encode() + b"\n"
@@ -338,7 +350,9 @@ def _read_answer(line: bytes, number: int, took: float) -> Ended:
         answer = parse_json(line, ANSWER_BYTES)
     except DocumentError:
         answer = None
-    if isinstance(answer, dict) and answer.get("id", number) == number:
+    if isinstance(answer, dict) and answer.get("id", number) != number:
+        return Ended(None, None, "other", _excerpt(line), took, None)
+    if isinstance(answer, dict):
         status, ended_by, text = answer.get("status"), answer.get("signal"), answer.get("stderr", "")
         # Either status or signal is a number; the other is null or missing.
         if isinstance(text, str) and {type(status), type(ended_by)} == {int, type(None)}:

@@ -14,6 +14,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 import pytest
+from msgspec.structs import replace
 from small_suite import Suite
 
 from conformance import cli
@@ -44,10 +45,10 @@ def test_the_house_is_registered() -> None:
     known, rows = implementations.load(ROOT / "implementations"), matrix.load(ROOT / "implementations")
     decoders = {i.key for i in known if i.decoder}
     assert {"refcodec", "refcodec-numpy", "spec-decoder", "decoder-c", "web"} <= decoders
-    assert {row["encoder"] for row in rows} == {i.key for i in known if i.encoder}
+    assert {row.encoder for row in rows} == {i.key for i in known if i.encoder}
     for row in rows:
-        assert matrix.is_right(row), row
-        assert set(row["digests"]) == decoders
+        assert row.right, row
+        assert set(row.digests) == decoders
 
 
 def toml(suite: Suite, mode: str) -> str:
@@ -181,6 +182,17 @@ def implementation(key: str, run: str = "", **encoder: str) -> implementations.I
     return implementations.Implementation(key, *texts, decoder, encoder)  # type: ignore[arg-type]
 
 
+def test_a_file_that_every_decoder_refuses_is_not_right() -> None:
+    """If no digest was meant, they must give one."""
+    row = matrix.Row(
+        "e", "ply", "s.c3gs", 9, True, None, "", {"a": "crashed: took too long", "b": "crashed: took too long"}
+    )
+    assert (row.right, row.digest) == (False, "")
+    digests = {"a": "0" * 64, "b": "0" * 64, "c": "1" * 64}
+    assert (replace(row, digests=digests).right, replace(row, digests=digests).digest) == (False, "0" * 64)
+    assert replace(row, digests={"a": "0" * 64}).right
+
+
 def test_the_matrix(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """An encoder that copies a file is right, one that writes another scene is wrong, and so is a wrong decoder."""
     monkeypatch.chdir(ROOT)
@@ -195,14 +207,14 @@ def test_the_matrix(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     notes: list[str] = []
     files = matrix.run(known, notes.append, {"json": (SOURCE,)})
     assert [line.split(" is left out")[0] for line in notes] == ["absent", "absent"]
-    rows = {row["encoder"]: row for row in files}
-    assert {row["encoder"]: row["fault"] for row in files if not row["canonical"]} == {"fails": "CalledProcessError"}
-    assert rows["right"]["digests"]["second"] == rows["right"]["expected"]
-    assert rows["other"]["digests"]["second"] not in (rows["other"]["expected"], None)
-    assert rows["right"]["digests"]["crashes"].startswith("crashed: exit status 1")
-    assert not any(map(matrix.is_right, files))
+    rows = {row.encoder: row for row in files}
+    assert {row.encoder: row.fault for row in files if not row.canonical} == {"fails": "CalledProcessError"}
+    assert rows["right"].digests["second"] == rows["right"].expected
+    assert rows["other"].digests["second"] not in (rows["other"].expected, None)
+    assert rows["right"].digests["crashes"].startswith("crashed: exit status 1")
+    assert not any(row.right for row in files)
     for row in files:
-        row["digests"].pop("crashes", None)
+        row.digests.pop("crashes", None)
     texts = {i.key: certificates.of_encoder(i, files).text for i in known if i.encoder}
     wrong, right = "1 of 1 files wrong", "1 files, 1 decoders agree"
     assert texts == {"absent": "not in the matrix", "fails": wrong, "other": wrong, "right": right}
@@ -212,10 +224,12 @@ def test_the_matrix(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     # A digest that was edited is not that of the given scene.
     (tmp_path / matrix.NAME).write_text(matrix.text(files))
     assert matrix.load(tmp_path) == files
-    rows["right"]["expected"] = rows["other"]["digests"]["second"]
-    (tmp_path / matrix.NAME).write_text(matrix.text(files))
-    with pytest.raises(statuses.UsageError, match="was edited"):
-        matrix.load(tmp_path)
+    edited = replace(rows["right"], expected=rows["other"].digests["second"])
+    wrong = {matrix.text([edited]): "was edited", "[{}]": "is missing", "3": "3: a list is required"}
+    for text, problem in wrong.items():
+        (tmp_path / matrix.NAME).write_text(text)
+        with pytest.raises(statuses.UsageError, match=problem):
+            matrix.load(tmp_path)
     with pytest.raises(statuses.UsageError, match=r"none\.c3gs is not here"):
         matrix.run(known, print, {"json": ("none.c3gs",)})
 

@@ -20,6 +20,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import psutil
 import pytest
 from small_suite import Suite
 
@@ -263,10 +264,10 @@ def test_the_anchor_of_a_divergence_is_named(suite: Suite, tmp_path: Path) -> No
 
 
 def test_a_missing_package_is_told(suite: Suite) -> None:
-    program = "import sys; sys.modules['msgspec'] = None; from conformance.cli import main; sys.exit(main())"
+    program = "import sys; sys.modules['psutil'] = None; from conformance.cli import main; sys.exit(main())"
     done = subprocess.run([sys.executable, "-c", program, "run"], capture_output=True, text=True, cwd=ROOT, check=False)
     assert done.returncode == statuses.USAGE
-    assert done.stderr.startswith("conformance: msgspec is not installed: pip install")
+    assert done.stderr.startswith("conformance: psutil is not installed: pip install")
     assert done.stderr.count("\n") == 1
 
 
@@ -325,6 +326,44 @@ def test_a_server_that_ends_between_requests() -> None:
             ended = watcher.ask([sys.executable, "-S", "-c", code], {}, bounds)
             assert (ended.status, ended.over) == (0, None)
             time.sleep(0.5)
+
+
+def test_a_late_answer_is_not_taken_for_that_to_this_request() -> None:
+    code = """
+import json, sys
+last = None
+for line in sys.stdin:
+    if last:
+        print(last, flush=True)
+    else:
+        last = json.dumps({"id": json.loads(line)["id"], "status": 0})
+        print(last, flush=True)
+"""
+    with closing(Folder()) as folder, closing(process.Watcher()) as watcher:
+        for _ in range(3):
+            bounds = process.Bounds(60, 1 << 30, folder, threading.Event())
+            ended = watcher.ask([sys.executable, "-S", "-c", code], {}, bounds)
+            assert (ended.status, ended.over) == (0, None)
+
+
+def test_a_decoder_that_cannot_be_killed_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As one of another user."""
+
+    def refused(*_: object) -> None:
+        raise PermissionError
+
+    def denied(self: psutil.Process) -> None:
+        raise psutil.AccessDenied
+
+    monkeypatch.setattr(process, "_GONE", 0.2)
+    monkeypatch.setattr(process.os, "killpg", refused)
+    monkeypatch.setattr(psutil.Process, "kill", denied)
+    command = [sys.executable, "-S", "-c", "import time; time.sleep(2)"]
+    with closing(Folder()) as folder:
+        for seconds, over in ((0.02, "time"), (60, None)):
+            ended = process.Watcher().run(command, process.Bounds(seconds, 1 << 30, folder, threading.Event()))
+            assert ended.over == over
+            assert (ended.seconds < 2) == (over is not None)
 
 
 # --- other encoders --------------------------------------------------------------------------------------------------
