@@ -72,6 +72,12 @@ def read_json(path: Path, most: int = SIZE_MAX) -> Any:
         return parse_json(file.read(most + 1), most)
 
 
+def read_toml(path: Path, most: int = TOML_MAX) -> dict[str, Any]:
+    """Returns the values of a TOML file. Raises DocumentError as parse_json, and OSError."""
+    with path.open("rb") as file:
+        return parse_toml(file.read(most + 1), most)
+
+
 def checked(value: Any, kind: Any) -> Any:
     """Returns a value of a document as a type of msgspec: a Struct, a dataclass, or one with the bounds of a Meta.
 
@@ -80,7 +86,10 @@ def checked(value: Any, kind: Any) -> Any:
     try:
         return msgspec.convert(value, kind)
     except msgspec.ValidationError as error:
-        problem, _, path = str(error).partition(" - at `$")
+        text = str(error)
+    if of_key := re.fullmatch(r"(.*) - at `key` in `\$\.?(.*)`", text, re.DOTALL):
+        raise FieldError(of_key[2], f"has a name that is not allowed: {printable(of_key[1], _SHOWN)}")
+    problem, _, path = text.partition(" - at `$")
     name = path.removesuffix("`").removeprefix(".")
     if absent := re.fullmatch(r"Object (missing required|contains unknown) field `(.*)`", problem):
         raise FieldError(f"{name}.{absent[2]}".lstrip("."), "is missing" if absent[1][0] == "m" else "is not known")
@@ -88,7 +97,7 @@ def checked(value: Any, kind: Any) -> Any:
     for key, index in re.findall(r"(\w+)|\[(\d+)\]", name.partition("[...]")[0]):
         value = value[key] if key else value[int(index)]
     required = problem.removeprefix("Expected ").partition(", got ")[0]
-    required = re.sub(r"`([^`]+)`", lambda words: re.sub(r"\w+", lambda word: _WORDS[word[0]], words[1]), required)
+    required = re.sub(r"`([^`]+)`", lambda kind: re.sub(r"\w+", lambda w: _WORDS.get(w[0], w[0]), kind[1]), required)
     raise FieldError(name, f"is {printable(repr(value), _SHOWN)}: {required} is required")
 
 

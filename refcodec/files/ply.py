@@ -18,7 +18,7 @@ from typing import Any, BinaryIO, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .present import mapped
+from .present import BytesFile, mapped
 
 # A header of Scaffold-GS has about a hundred properties of twenty bytes.
 HEADER_MAX = 64 << 10
@@ -93,7 +93,7 @@ def parse_ply(data: mmap.mmap | bytes) -> dict[str, NDArray[Any]]:
     file = io.BytesIO(data[: HEADER_MAX + LINE_MAX])
     order, elements = _header(file, len(data))
     place = file.tell()
-    lines = io.TextIOWrapper(io.BytesIO(data[place:]), "ascii", "replace") if not order else None
+    lines = io.TextIOWrapper(io.BufferedReader(BytesFile(data, place)), "ascii", "replace") if not order else None
     for name, count, fields in elements:
         try:
             kind = np.dtype([(field, order + letters) for field, letters in fields])

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import errno
+import io
 import mmap
 import os
 import stat
 from pathlib import Path
+from typing import Any
 
 _KINDS = {
     stat.S_IFDIR: "a directory",
@@ -47,6 +49,37 @@ def is_there(path: Path, kind: int = stat.S_IFREG) -> bool:
     if actual != kind:
         raise NotAFileError(f"it is {_KINDS.get(actual, 'a file')}, not a {wanted}")
     return True
+
+
+class BytesFile(io.RawIOBase):
+    """A file of bytes, or of those of a mapped file. They are not copied."""
+
+    def __init__(self, data: mmap.mmap | bytes, place: int = 0) -> None:
+        """place: of the first byte that is read."""
+        self._data, self._place = memoryview(data), place
+
+    def readable(self) -> bool:
+        """As for any file."""
+        return True
+
+    def seekable(self) -> bool:
+        """As for any file."""
+        return True
+
+    def readinto(self, buffer: Any, /) -> int:
+        """As for any file."""
+        part = self._data[self._place : self._place + len(buffer)]
+        buffer[: len(part)] = part
+        self._place += len(part)
+        return len(part)
+
+    def seek(self, offset: int, whence: int = io.SEEK_SET, /) -> int:
+        """As for any file. Raises ValueError for a place before the first byte."""
+        place = offset + (0, self._place, len(self._data))[whence]
+        if place < 0:
+            raise ValueError(f"a negative place, {place}")
+        self._place = place
+        return place
 
 
 def mapped(path: Path) -> mmap.mmap | bytes:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ..bitstream.metadata import emit_metadata, with_metadata
 from ..bitstream.scene import Scene
-from ..files.documents import TOML_MAX, DocumentError, parse_toml
+from ..files.documents import DocumentError, read_toml
 from ..statuses import UsageError
 
 
@@ -22,6 +22,8 @@ def stated_entries(stated: Sequence[str] | Mapping[str, str]) -> dict[str, str]:
     for text in () if isinstance(stated, Mapping) else stated:
         key, sign, value = text.partition("=")
         entries |= {key: value} if sign else _of_file(Path(text))
+    if wrong := [key for key, value in entries.items() if not isinstance(value, str)]:
+        raise UsageError(f"the metadata entry {wrong[0]} must be a text")
     try:
         emit_metadata({key: value for key, value in entries.items() if value})
     except ValueError as error:
@@ -32,8 +34,7 @@ def stated_entries(stated: Sequence[str] | Mapping[str, str]) -> dict[str, str]:
 def _of_file(path: Path) -> dict[str, str]:
     """Returns the entries of a TOML file with string values. Keys with dots may be written as tables."""
     try:
-        with path.open("rb") as file:
-            document = parse_toml(file.read(TOML_MAX + 1))
+        document = read_toml(path)
     except OSError as error:
         raise UsageError(f"--meta {path} is neither KEY=VALUE nor a file: {error.strerror or error}") from None
     except DocumentError as error:

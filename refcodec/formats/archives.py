@@ -6,7 +6,6 @@ import contextlib
 import io
 import zipfile
 from collections.abc import Iterator
-from typing import cast
 
 from ..files.text import printable
 from .common import ContentError
@@ -33,12 +32,12 @@ class _Opening(io.BufferedReader):
 
 
 @contextlib.contextmanager
-def opened_zip(file: io.RawIOBase | io.BytesIO, wanted: str) -> Iterator[zipfile.ZipFile]:
+def opened_zip(file: io.RawIOBase, wanted: str) -> Iterator[zipfile.ZipFile]:
     """Yields the archive of an open file, and closes it.
 
     wanted: the expected kind of file, for the message. Raises ContentError, and OSError.
     """
-    with _Opening(cast(io.RawIOBase, file)) as opened:
+    with _Opening(file) as opened:
         try:
             archive = zipfile.ZipFile(opened)
         # zipfile raises several types for bad bytes.

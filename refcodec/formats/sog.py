@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from .. import __version__
 from ..files.outputs import Kind
-from ..files.present import NotAFileError, is_there, mapped
+from ..files.present import BytesFile, NotAFileError, is_there, mapped
 from ..files.text import printable
 from . import packing
 from .archives import opened_zip, read_entry
@@ -74,7 +74,7 @@ def read(data: Data) -> Splats:
     """Returns the Gaussians of an archive. Raises ContentError."""
     if len(data) > FILE_MAX:
         raise ContentError(f"it has more than {FILE_MAX} bytes")
-    with opened_zip(io.BytesIO(data), "zip archive") as archive:
+    with opened_zip(BytesFile(data), "zip archive") as archive:
         return _read(partial(read_entry, archive), len(data))
 
 

@@ -17,7 +17,7 @@ from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_t
 
 from msgspec import Meta, to_builtins
 
-from ..files.documents import TOML_MAX, DocumentError, FieldError, checked, parse_toml
+from ..files.documents import DocumentError, FieldError, checked, parse_toml, read_toml
 from ..statuses import UsageError
 from .settings import PRESETS, STATIC_CHANGES, Phase, TrainSettings
 
@@ -111,8 +111,7 @@ def _toml(value: Any) -> str:
 def from_toml(path: Path, base: T) -> T:
     """The settings of a file, with those of `base` for missing ones. Raises SettingsError and OSError."""
     try:
-        with path.open("rb") as file:
-            return merged(base, parse_toml(file.read(TOML_MAX + 1)))
+        return merged(base, read_toml(path))
     except DocumentError as error:
         raise SettingsError(f"{path} cannot be read: {error}") from None
     except SettingsError as error:

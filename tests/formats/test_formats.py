@@ -31,8 +31,6 @@ from refcodec.formats.table import FORMATS, read_splats, splats_up, suffix_of, w
 FOREIGN = Path(__file__).with_name("foreign")
 AXES = [sign * np.eye(3)[axis] for sign in (1, -1) for axis in range(3)]
 SUFFIXES = pytest.mark.parametrize("suffix", FORMATS)
-# The other formats order Gaussians along a curve.
-KEEP_ORDER = (".ply", ".glb", ".spz")
 Steps = dict[str, Any]
 
 

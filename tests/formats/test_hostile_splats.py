@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import io
 import json
+import os
 import random
 import re
 import struct
@@ -30,7 +31,7 @@ from refcodec.formats.table import FORMATS, read_splats, splats_up, write_splats
 FOREIGN = Path(__file__).with_name("foreign")
 SPLATS = read_splats(FOREIGN / "playbot.ply")
 COUNT = len(SPLATS.mean)
-# The bytes that a file may make Python allocate, beside its own.
+# The bytes that a file may make Python allocate, beside some times its own length, as far as Gaussians account for it.
 MEMORY = 16 << 20
 
 Repack = Callable[[bytes], bytes]
@@ -348,6 +349,27 @@ def test_folders_of_sog(change: Callable[[bytes], bytes], reason: str, tmp_path:
     (tmp_path / "link.webp").symlink_to(tmp_path)
     assert outcome(tmp_path / "meta.json", SOG_ENTRIES["meta.json"]) == ""
     assert reason in outcome(tmp_path / "meta.json", change(SOG_ENTRIES["meta.json"]))
+
+
+@pytest.mark.parametrize(
+    ("name", "head", "reason"),
+    [
+        ("a.ply", b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n1\n", "no property y"),
+        ("a.sog", b"", "it is not a zip archive"),
+    ],
+)
+def test_what_follows_is_not_copied(name: str, head: bytes, reason: str, tmp_path: Path) -> None:
+    """A file system can say that a file has many bytes, of which none are on the disk."""
+    file = tmp_path / name
+    file.write_bytes(head)
+    os.truncate(file, 200 << 20)
+    tracemalloc.start()
+    try:
+        with pytest.raises(SceneFolderError, match=reason):
+            read_splats(file)
+        assert tracemalloc.get_traced_memory()[1] < 4 << 20
+    finally:
+        tracemalloc.stop()
 
 
 @pytest.mark.parametrize("rotation", [[0, 0, 0], [0, 0, 0, 0], [1e200, 0, 0, 0], "up", [True, 0, 0, 1]])
