@@ -46,7 +46,7 @@ class EncodingWords(ReadingWords, total=False):
     positions: Mode | None
     weights: Mode | None
     smallest: bool
-    lambda_r: kinds.Lambda | None
+    lambda_r: kinds.FitLambda | None
     steps: kinds.Positive | None
     up: kinds.Axis | None
     cameras: kinds.Count | None
@@ -130,6 +130,8 @@ def _folder_scene(folder: Path, words: EncodingWords) -> tuple[CodedScene, str]:
     from ..folder.read import read_folder
     from ..folder.uncompressed import is_uncompressed
 
+    if (limits := words.get("limits")) is not None and limits.work is not None:
+        raise UsageError("--max-work applies only to files, whose headers state the work: omit it")
     check_cloud(folder, words)
     if folder.is_file():
         raise UsageError(f"{folder} is a file: give a scene folder of decode, train, fit or convert")

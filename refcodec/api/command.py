@@ -48,7 +48,7 @@ _COMMON = {
 }
 # Packages of extras. The last ones have extras of their own name, whichever command needs them.
 _OWN = ("ray", "tensorboard")
-_PACKAGES = ("torch", "numba", "scipy", "PIL", "skimage", "matplotlib", "bjontegaard", "msgspec", "zstandard", *_OWN)
+_PACKAGES = ("torch", "numba", "scipy", "PIL", "skimage", "matplotlib", "bjontegaard", "zstandard", *_OWN)
 
 
 @dataclass(frozen=True)
@@ -305,8 +305,13 @@ def refusing(what: str = "", others: Mapping[type[Exception], str] | None = None
         raise UsageError(f"{text}: {error}" if text else str(error)) from None
 
 
+def is_given(value: object) -> bool:
+    """Whether a word has another value than None, False and (), which stand for none. 0 is one."""
+    return value is not None and value is not False and value != ()
+
+
 def only_one(**given: object) -> None:
     """Raises UsageError if more than one of some words is given."""
-    names = [Word(name).option for name, value in given.items() if value not in (None, False, ())]
+    names = [Word(name).option for name, value in given.items() if is_given(value)]
     if len(names) > 1:
         raise UsageError(f"{names[1]} is not allowed with {names[0]}")

@@ -14,7 +14,7 @@ from ..files.stage import folder_beside, write_file
 from ..files.text import shell_word
 from ..statuses import DONE, INTERRUPTED, UsageError
 from . import kinds
-from .command import Report, Word, command, refusing
+from .command import Report, Word, command, is_given, refusing
 from .learning import TrainingWords, run_training
 
 _VIEWS = 200
@@ -34,6 +34,10 @@ class ConvertWords(TrainingWords, total=False):
         cameras: splats: a cameras.json as 3DGS writes it.
         pictures: splats: keep the pictures, as photographs for eval.
         lambda_r: splats: lambda_r of the training (default: 0.004).
+        preset: splats: training preset (default: fast).
+        steps: splats: training steps (default: the preset's).
+        size: splats: longest side of the pictures (default: the preset's).
+        seed: splats: random seed (default: 0).
         resume: splats: continue an interrupted training.
     """
 
@@ -97,7 +101,7 @@ def convert(source: kinds.AnyPath, output: kinds.SceneFolder, **words: Unpack[Co
 def _refuse(words: Mapping[str, object], names: tuple[str, ...], what: str) -> None:
     """Raises UsageError for the first given word of some. what: states what they apply to."""
     for name in names:
-        if words.get(name) not in (None, False, ()):
+        if is_given(words.get(name)):
             raise UsageError(f"{Word(name).option} applies only to {what}")
 
 

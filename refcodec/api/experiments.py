@@ -50,7 +50,7 @@ def demo(
     from ..train.settings_file import chosen_settings
 
     only_one(scene=scene, photographs=photographs)
-    _refuse_lambda(words, "the demo chooses its rates")
+    _refuse_lambda(words, "the demo chooses its lambdas")
     chosen = chosen_settings({**words, "steps": steps}, steps=STEPS)
     folder = find_example(scene or "caliterra") if photographs is None else Path(photographs)
     page, whole = run_demo(Demo(Path(output), folder, chosen, options_of(words)))
@@ -62,14 +62,14 @@ def rd(
     photographs: kinds.AnyPath,
     output: kinds.Folder,
     *,
-    lambdas: Sequence[kinds.Lambda] = (0.002, 0.004, 0.01, 0.04),
+    lambdas: Sequence[kinds.CodedLambda] = (0.002, 0.004, 0.01, 0.04),
     uncompressed: bool = False,
     against: kinds.FilePath | None = None,
     jobs: kinds.Positive = 2,
     device: kinds.Device | None = None,
     **words: Unpack[TrainingWords],
 ) -> Report:
-    """Train at several rates, and write sizes and quality as a table and a chart.
+    """Train with several lambdas, and write sizes and quality as a table and a chart.
 
     It runs an experiment of one scene, and writes its file, DIR/experiment.toml. DIR gets results.csv,
     tables.md and curves/, and below cells/ a scene folder and a file for each rate, as with `experiment`.
@@ -111,7 +111,7 @@ def experiment(
     only: Sequence[kinds.Pattern] = (),
     tables: bool = False,
 ) -> Report:
-    """Train the scenes, methods, rates and seeds of a file, and write tables and curves.
+    """Train the scenes, methods, lambdas and seeds of a file, and write tables and curves.
 
     FILE is a TOML file with these keys:
       lambdas, seeds        lists of lambda_r and of seeds; each method trains each scene at each pair of them

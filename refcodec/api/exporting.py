@@ -31,9 +31,11 @@ class ExportWords(ReadingWords, total=False):
     """How a scene is written.
 
     Args:
-        glb: what a .glb contains: plain Gaussians, or for a static scene FILE itself, or both.
+        glb: what a .glb contains: plain Gaussians, or for a static scene FILE itself, or both (default: plain).
         degree: degree of the spherical harmonics, by which colours depend on the direction (default: 3).
         cameras: fit to the cameras of a folder of photographs; in Python also a list of refcodec.Camera.
+        size: with --cameras or --photographs: size of the photographs: WxH, longest side, or full for unscaled
+            (default: the training size).
         photographs: add up to 8 held-out photographs to the page, to compare with the scene.
         iterations: least-squares steps on the images, after the fit of each Gaussian by itself (default: 10).
         spz_bits: bits of the harmonics in .spz; fewer make a smaller, less accurate file (default: 7).

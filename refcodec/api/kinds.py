@@ -79,6 +79,9 @@ Degree = Annotated[int, _number(int, "{0,1,2,3}", "a whole number from 0 to 3", 
 SpzBits = Annotated[int, _number(int, "{4,5,6,7,8}", "a whole number from 4 to 8", 4, 8)]
 Port = Annotated[int, _number(int, "N", "a whole number from 0 to 65535", 0, 65535)]
 Lambda = Annotated[float, _number(float, "L", "a number from 0 to 1", 0, 1)]
+# Of scenes that get a codec, and of a fit.
+CodedLambda = Annotated[float, _number(float, "L", "a number above 0 and at most 1", math.ulp(0.0), 1)]
+FitLambda = Annotated[float, _number(float, "L", "a number from 0.000001 to 1", 1e-6, 1)]
 Length = Annotated[float, _number(float, "V", "a number above 0", math.ulp(0.0))]
 Decibels = Annotated[float, _number(float, "DB", "a number from 20 to 70", 20, 70)]
 # SPEC 13.1

@@ -201,7 +201,7 @@ def fit(
     output: kinds.SceneFolder,
     *,
     steps: kinds.Positive = 4000,
-    lambda_r: kinds.Lambda = 0.004,
+    lambda_r: kinds.FitLambda = 0.004,
     voxel: kinds.Length | None = None,
     seed: kinds.Seed = 0,
     set: Sequence[kinds.Change] = (),

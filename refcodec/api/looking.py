@@ -92,7 +92,7 @@ def inspect(
     """
     from ..folder.places import COPIES, TRACE_COPIES, read_whole
 
-    only_one(hex=hex, near=near is not None, json=json, trace=trace, anchor=anchor is not None, html=html)
+    only_one(hex=hex, near=near, json=json, trace=trace, anchor=anchor, html=html)
     if html is not None:
         return _page(file, Path(html), words)
     if trace:
@@ -155,9 +155,9 @@ def _page(file: kinds.Place, path: Path, words: ReadingWords) -> Report:
     """Writes the page of an accepted file. The file is decoded a few chunks at a time."""
     from ..bitstream.header import read_header
     from ..bitstream.reconstruction import StreamDigest
-    from ..bitstream.source import FileBytes, WholeFile
+    from ..bitstream.source import FileBytes, Source, WholeFile
     from ..files.remote import RemoteFile
-    from ..folder.places import check_outputs, decode_stream, read_whole, reading, shown_name
+    from ..folder.places import check_outputs, decode_stream, reading, shown_name
     from ..inspect import summary
     from ..inspect.page.document import PAGE, page
     from ..inspect.page.measures import SceneMeasures
@@ -165,8 +165,12 @@ def _page(file: kinds.Place, path: Path, words: ReadingWords) -> Report:
     check_outputs([file], (path, PAGE))
     with reading(file, words) as (stored, left):
         # The page reads bytes in many places. A URL is fetched once.
-        source = WholeFile(read_whole(file, words)) if isinstance(stored, RemoteFile) else stored
-        header = read_header(source)
+        header = read_header(stored)
+        source: Source = stored
+        if isinstance(stored, RemoteFile):
+            size = header.sections[-1].end + 1
+            left.check_memory(size)
+            source = WholeFile(stored.read(0, size))
         digest, measures = StreamDigest(), SceneMeasures(header.dimensions, header.anchor_count)
 
         def add(scene: CodedScene) -> None:

@@ -18,6 +18,7 @@ from ..bitstream.metadata import metadata
 from ..bitstream.scene import Ancillary
 from ..bitstream.source import FileBytes, Place, Source
 from ..bitstream.streaming import DecodedChunk, decoded_chunks
+from ..files.text import counted
 from ..folder.places import opened_source
 from ..formats.splats import Splats
 from ..inspect.elements import outline_of
@@ -136,7 +137,7 @@ class File:
         return Scene(scene, self.sizes)
 
     def __repr__(self) -> str:
-        chunks = f"{self.chunk_count:,} chunk{'s' if self.chunk_count != 1 else ''}"
+        chunks = counted(self.chunk_count, "chunk")
         return f"<refcodec.File: {self.byte_count:,} bytes, {self.anchor_count:,} anchors in {chunks}>"
 
     def _repr_html_(self) -> str:

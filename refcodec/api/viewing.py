@@ -91,8 +91,9 @@ def view(
         images = _pictures(shown, {"photographs": photographs, "size": size})[0]
     else:
         # The page itself reports errors of the file. It gets the file in its state when the page is loaded.
-        whole = read_whole(file, words)
-        data = None if os.path.isfile(path) else whole
+        data = read_whole(file, words)
+        # It is not held meanwhile.
+        data = None if os.path.isfile(path) else data
 
     def stored() -> BinaryIO:
         return open(path, "rb") if data is None else io.BytesIO(data)

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable
 from typing import Any, NoReturn
 
 from .. import __version__, api, statuses
-from ..api.command import SPELLED, Word, sections, words
+from ..api.command import SPELLED, Word, is_given, sections, words
 from ..files.outputs import HELP
 from ..files.terminal import note
 from ..statuses import UsageError
@@ -115,7 +115,7 @@ def _add_word(parser: argparse.ArgumentParser, word: Word, operand: bool, requir
 
 
 def _help(word: Word) -> str:
-    shown = word.default not in (None, False, ()) and "(default" not in word.text
+    shown = is_given(word.default) and "(default" not in word.text
     default = " ".join(map(str, word.default)) if isinstance(word.default, tuple) else word.default
     return (f"{word.text} (default: {default})" if shown else word.text).replace("%", "%%")
 

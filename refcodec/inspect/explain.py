@@ -12,6 +12,7 @@ import textwrap
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from functools import cache, partial
+from itertools import islice
 
 import msgspec
 
@@ -165,14 +166,16 @@ def _clause_lines(number: str) -> Iterator[str]:
     """Yields a clause: its text, its requirements, and otherwise its own trail."""
     clause = own_clauses()[number]
     yield f"{number} {clause.title}, SPEC.md#{clause.anchor}"
-    yield ""
-    yield from clause.text.splitlines()
+    if clause.text:
+        yield ""
+        yield from clause.text.splitlines()
     for name in _requirements_of(number):
         yield ""
         yield from _requirement_lines(name)
     if number in record().clauses:
         yield ""
-        yield from _short_lines(number)
+        # Without the name of the clause.
+        yield from islice(_short_lines(number), 1, None)
 
 
 def _part_lines(name: str) -> Iterator[str]:

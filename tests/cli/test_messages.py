@@ -46,8 +46,10 @@ WRONG = rows(
     encode scene -o scene | is a directory
     encode scene -o nowhere/out.c3gs | there is no directory
     encode scene -o out.c3gs --lambda 0.01 | is coded already: omit --lambda and --steps
-    encode scene -o out.c3gs --lambda 2 | --lambda must be a number from 0 to 1, not 2
-    encode scene -o out.c3gs --lambda nan | --lambda must be a number from 0 to 1, not nan
+    encode scene -o out.c3gs --lambda 2 | --lambda must be a number from 0.000001 to 1, not 2
+    encode scene -o out.c3gs --lambda nan | --lambda must be a number from 0.000001 to 1, not nan
+    encode scene -o out.c3gs --lambda 0 | --lambda must be a number from 0.000001 to 1, not 0
+    encode scene -o out.c3gs --max-work 1 | --max-work applies only to files
     encode scene -o out.c3gs --weights loose | --weights must be raw or packed, not loose
     encode scene -o out.c3gs --up z | --up must be +x or -x
     encode scene -o out.c3gs --meta Title=x | key
@@ -97,12 +99,17 @@ WRONG = rows(
     train photos -o new --seed 9223372036854775808 | --seed must be a whole number from 0 to 2^63 - 1
     fit points3D.txt -o new --steps 0 | --steps must be a whole number of at least 1, not 0
     fit points3D.txt -o new --steps many | --steps must be a whole number of at least 1, not many
+    fit points3D.txt -o new --lambda 0 | --lambda must be a number from 0.000001 to 1, not 0
     fit nowhere.txt -o new | nowhere.txt | torch
     fit nowhere.txt -o photos | not a scene folder | torch
     convert nowhere -o new | nowhere does not exist
     convert nowhere.ply -o new | nowhere.ply: the file does not exist | torch numba
     convert letter.txt -o new | neither a model folder nor a splat file
     convert photos/l -o new --views 3 | --views applies only to splat files
+    convert photos/l -o new --lambda 0 | --lambda applies only to splat files
+    convert nowhere.ply -o new --appearance 0 | --appearance applies only to model folders
+    convert nowhere.ply -o new.c3gs --fast --seed 0 | --seed applies only to a training
+    rd photos -o new --lambdas 0 0.1 | --lambdas must be a number above 0 and at most 1, not 0
     demo -o new --scene atlantis | --scene must be caliterra or snowmiku, not atlantis
     demo -o new --scene caliterra --photographs photos | --photographs is not allowed with --scene
     experiment letter.txt -o new --engine car | --engine must be local or ray, not car
@@ -173,7 +180,7 @@ FIT, CONVERT = {"points": "p", "output": "o"}, {"source": "s", "output": "o"}
         (api.fit, {**FIT, "steps": 0}, "--steps must be a whole number of at least 1, not 0"),
         (api.fit, {**FIT, "steps": 1.5}, "--steps must be a whole number of at least 1, not 1.5"),
         (api.fit, {**FIT, "steps": True}, "--steps must be a whole number of at least 1, not True"),
-        (api.fit, {**FIT, "lambda_r": float("nan")}, "--lambda must be a number from 0 to 1, not nan"),
+        (api.fit, {**FIT, "lambda_r": float("nan")}, "--lambda must be a number from 0.000001 to 1, not nan"),
         (api.train, {"from_scene": 3}, "--from must be a path, not 3"),
         (api.train, {"set": ["growth.most"]}, "is not NAME=VALUE"),
         (api.train, {"set": [3]}, "--set must be a text, not 3"),
