@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,12 +13,13 @@ from ..files.lock import hold_folder
 from ..files.outputs import check_apart
 from ..files.stage import write_file
 from ..files.terminal import note, say
+from ..photographs.as_trained import stated_photographs
 from ..photographs.colmap import IMAGE_SUFFIXES
-from ..photographs.photographs import PhotographError, parse_background, parse_size, read_photographs
+from ..photographs.photographs import PhotographError
 from ..statuses import DONE, INTERRUPTED
 from .cells import Cell, cells, result_of
 from .jobs import Run, RunError, Watch, claim, run_job, run_jobs
-from .plan import CODED, Experiment, ExperimentError
+from .plan import CODED, Experiment, ExperimentError, Scene
 from .tables import BD_POINTS, CSV, CURVES, MARKDOWN, as_csv, as_markdown, compare, read_curve, row, write_curves
 
 FORMAT, MARK, COPY = "C3GS experiment", "experiment.json", "experiment.toml"
@@ -60,10 +61,12 @@ def run_experiment(experiment: Experiment, options: Options) -> int:
     if other is not None and (least := min(len(experiment.lambdas), len(other))) < BD_POINTS:
         raise RunError(f"BD-rate needs {BD_POINTS} points or more, here and in {options.against}: there are {least}")
     digests, inputs = ({}, []) if options.tables else _inputs(experiment, chosen)
+    # Those of cells that are not run count only for the photographs that are there, if any are.
+    known = {scene.name: _digest(path) for scene in experiment.scenes if (path := _here(experiment, scene))} | digests
     check_apart([folder / name for name in (MARK, COPY, CSV, MARKDOWN)], [options.against, *inputs])
     claim(folder, MARK, FORMAT)
     if options.tables:
-        _write_tables(experiment, options.folder)
+        _write_tables(experiment, options.folder, known)
         return DONE
     with hold_folder(folder):
         waiting = [cell for cell in chosen if result_of(cell, folder, digests[cell.scene.name]) is None]
@@ -78,13 +81,14 @@ def run_experiment(experiment: Experiment, options: Options) -> int:
                 ]
                 outcomes, stopped = run_jobs(jobs, workers, run, watch) if jobs else ([], False)
         finally:
-            _write_tables(experiment, options.folder)
+            _write_tables(experiment, options.folder, known)
     failed = [outcome for outcome in outcomes if outcome.status not in (DONE, INTERRUPTED)]
     for outcome in failed:
         note(f"refcodec: cell {outcome.name} has failed; its folder in {options.folder / 'cells'} has all lines")
         for line in outcome.text.splitlines():
             note(line)
-    if stopped:
+    # A command may end so without a signal to this one.
+    if stopped or any(outcome.status == INTERRUPTED for outcome in outcomes):
         note(f"refcodec: stopped with {watch.done} of {len(chosen)} cells done; the same command continues")
         return INTERRUPTED
     if failed:
@@ -123,13 +127,19 @@ def _inputs(experiment: Experiment, chosen: Sequence[Cell]) -> tuple[dict[str, s
     for cell in {(cell.scene.name, cell.settings.size): cell for cell in chosen}.values():
         path, settings, name = experiment.photographs(cell.scene), cell.settings, cell.scene.name
         try:
-            background = parse_background(settings.background)
-            photographs = read_photographs(path, parse_size(settings.size), background, holdout=settings.holdout)
+            photographs = stated_photographs(path, settings.size, settings.background, settings.holdout)
         except PhotographError as error:
             raise ExperimentError(f"scene {name}: {error}") from None
         places += photographs.places()
         digests[name] = digests.get(name) or _digest(path)
     return digests, places
+
+
+def _here(experiment: Experiment, scene: Scene) -> Path | None:
+    """Returns the folder of the photographs of a scene, or None if it is not there or its variable is not set."""
+    with contextlib.suppress(ExperimentError):
+        return path if (path := experiment.photographs(scene)).is_dir() else None
+    return None
 
 
 def _digest(folder: Path) -> str:
@@ -143,18 +153,23 @@ def _digest(folder: Path) -> str:
     return made.hexdigest()
 
 
-def _write_tables(experiment: Experiment, folder: Path) -> None:
-    """Writes tables and curves of all cells that are done, including those of earlier calls."""
+def _write_tables(experiment: Experiment, folder: Path, digests: Mapping[str, str]) -> None:
+    """Writes tables and curves of all cells that are done, including those of earlier calls.
+
+    digests: of the photographs, by scene. A result of other ones is none.
+    """
     every = list(cells(experiment))
-    results = {cell.name: result for cell in every if (result := result_of(cell, folder))}
+    results = {cell.name: result for cell in every if (result := result_of(cell, folder, digests.get(cell.scene.name)))}
+    if absent := [scene.name for scene in experiment.scenes if scene.name not in digests]:
+        note(f"the photographs of these scenes are missing, and are not compared: {', '.join(absent)}")
     rows = [
         row(cell.scene.name, cell.method.name, cell.lambda_r, cell.seed, results[cell.name])
         for cell in every
         if cell.name in results
     ]
-    missing = ", ".join([cell.name for cell in every if cell.name not in results][:_NAMED])
-    if missing:
-        missing = f"{len(every) - len(rows)} of {len(every)} cells are missing: {missing}"
+    names = [cell.name for cell in every if cell.name not in results]
+    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+    missing = f"{len(names)} of {len(every)} cells are missing: {', '.join(names[:_NAMED])}{more}" if names else ""
     write_file(folder / CSV, as_csv(rows).encode())
     text = as_markdown(experiment.path.stem, rows, missing, experiment.baseline)
     write_file(folder / MARKDOWN, text.encode())
