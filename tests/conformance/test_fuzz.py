@@ -90,8 +90,9 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_batch_is_the_same_again(small: None) -> None:
     first, second = compare.run_batch(7), compare.run_batch(7)
     assert first == second
-    # The first scene is the smallest one: it has no anchors, and no place for the fault that is drawn first.
-    assert sum(first.seen.values()) >= 20
+    # A fault that a drawn scene has no place for makes no file, so that the number of files depends on the seed.
+    assert first.seen["accepted"] >= 2
+    assert len(first.seen) >= 5
     assert not first.wrong
 
 

@@ -18,10 +18,13 @@ from typing import Any
 
 import pytest
 
+from conformance import spec_decoder
+from refcodec.bitstream.entropy import STATE_MIN
 from refcodec.bitstream.header import SIGNATURE
 from refcodec.bitstream.limits import PROFILES
 from refcodec.bitstream.syntax import SYNTAX, parse_elements, size_of
 from refcodec.inspect import specification
+from refcodec.inspect.specification import own_clauses
 
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLE = ROOT / "vectors" / "tiny-example.c3gs"
@@ -104,6 +107,32 @@ def test_the_places_in_the_picture_of_the_layout() -> None:
     for field, kind in (*SYNTAX["Chunk"], *SYNTAX["Substream"]):
         assert shown[field] > 0, field
         assert shown[kind] > 0, kind
+
+
+def test_the_other_pictures() -> None:
+    """Their numbers are those of the clauses that they show: 7.5.2, 7.3 and 5.10, 8.3, and 7.4 to 7.10."""
+    names = ("contraction", "planes", "substream", "stages")
+    drawn = {name: (ROOT / "spec" / "pictures" / f"{name}.svg").read_text(encoding="utf-8") for name in names}
+    texts = {name: re.findall(r">([^<]+)</text>", svg) for name, svg in drawn.items()}
+    curve = max(re.findall(r'<polyline points="([^"]+)"', drawn["contraction"]), key=len)
+    contract = spec_decoder.names()["CONTRACT"]
+    for point in curve.split():
+        x, y = map(float, point.split(","))
+        # The origin and the unit of the axes, in pixels.
+        before, after = (x - 70) / 90, (250 - y) / 90
+        assert abs(contract([round(before * 65536), 0, 0])[0] / 65536 - after) < 1e-4
+    waves = Counter(str(j + 2 * i) for i in range(6) for j in range(6))
+    assert all(Counter(texts["planes"])[wave] >= count for wave, count in waves.items())
+    lanes = [int(text.removeprefix("lane ")) for text in texts["substream"] if text.startswith("lane ")]
+    symbols = [int(text.removeprefix("symbol ")) for text in texts["substream"] if text.startswith("symbol ")]
+    assert len(symbols) > 8
+    assert lanes == [symbol % 4 for symbol in symbols]
+    assert f"below 2^{STATE_MIN.bit_length() - 1} " in drawn["substream"]
+    assert {kind for _, kind in SYNTAX["Substream"] if not kind.startswith("bytes")} <= {*texts["substream"]}
+    for clause, title in (("7.4", "position"), ("7.5.4", "planes"), ("7.5.5", "gamma"), ("7.7", "F_h")):
+        assert clause in own_clauses()
+        assert any(clause in text for text in texts["stages"]), clause
+        assert title in texts["stages"]
 
 
 @pytest.mark.slow
