@@ -227,7 +227,9 @@ IMAGES: list[tuple[tuple[int, int, float], Any, float, dict[str, Any]]] = [
 
 
 @pytest.mark.requirement("G14.5-1")
-@pytest.mark.parametrize(("made_of", "change", "angle", "info"), IMAGES)
+@pytest.mark.parametrize(
+    ("made_of", "change", "angle", "info"), IMAGES, ids=[f"{seed}-{count}" for (seed, count, _), *_ in IMAGES]
+)
 def test_images_are_those_of_the_text(
     spec: dict, made_of: tuple[int, int, float], change: Any, angle: float, info: dict[str, Any], rasterise: Any
 ) -> None:

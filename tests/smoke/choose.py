@@ -1,6 +1,6 @@
 """Chooses the tests of `./run-tests --smoke`: for each requirement of SPEC.md the fastest test that is marked with it.
 
-python tests/smoke/choose.py    runs the quick tests with a requirement, and writes chosen.txt
+python tests/smoke/choose.py    runs the quick tests with a requirement, and writes chosen.txt if they all pass
 """
 
 from __future__ import annotations
@@ -58,5 +58,6 @@ def chosen(seconds: dict[str, float], names: dict[str, set[str]]) -> list[str]:
 if __name__ == "__main__":
     durations = Durations()
     status = pytest.main(["-q", "-p", "no:cacheprovider", str(ROOT / "tests")], plugins=[durations])
-    CHOSEN.write_text("\n".join(chosen(durations.seconds, durations.names)) + "\n", encoding="utf-8")
+    if status == pytest.ExitCode.OK:
+        CHOSEN.write_text("\n".join(chosen(durations.seconds, durations.names)) + "\n", encoding="utf-8")
     sys.exit(status)

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import re
+import subprocess
+import sys
 
+import pytest
 from choose import CHOSEN, WHOLE, chosen
 from test_each_command import COMMANDS
 
@@ -27,6 +30,13 @@ def test_each_requirement_has_a_test() -> None:
         if not requirement.error and not any((place.path, place.name) in functions for place in by_requirement[name])
     }
     assert missing == set()
+
+
+@pytest.mark.slow
+def test_the_chosen_tests_can_be_run() -> None:
+    """Their names have parameters, which a change of their table can rename."""
+    words = [sys.executable, "-m", "pytest", "-q", "--collect-only", "-p", "no:cacheprovider", f"@{CHOSEN}"]
+    assert subprocess.run(words, cwd=ROOT, capture_output=True, check=False).returncode == 0
 
 
 def test_each_command_has_a_test() -> None:
