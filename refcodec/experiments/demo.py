@@ -22,13 +22,15 @@ from ..files.outputs import check_apart
 from ..files.stage import write_file
 from ..folder.layout import REPORT_FILE, SCENE_FILE
 from ..folder.read import read_folder
-from ..photographs.photographs import TEST_EVERY, PhotographSet, parse_background, parse_size, read_photographs
+from ..photographs.as_trained import stated_photographs
+from ..photographs.photographs import TEST_EVERY, PhotographSet
 from ..rendering.images import image_names
 from ..statuses import DONE, FAULT, INTERRUPTED
 from ..train.settings import TrainSettings
 from .cells import Evaluation, Training
 from .jobs import Job, RunError, Step, claim, has, read, run_job, run_jobs, shown
 from .page import page
+from .plan import CODED, UNCOMPRESSED
 
 FORMAT, MARK, PAGE = "C3GS demo", "demo.json", "index.html"
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "photographs"
@@ -38,7 +40,6 @@ LAMBDA = 0.004
 # Two parallel training runs on two cores take six minutes in total.
 STEPS = 6000
 
-UNCOMPRESSED, CODED = "uncompressed", "coded"
 # Parts of a scene by their names in training reports and in files. All other sections are HEADERS.
 PARTS = {
     "positions": "positions of the anchors",
@@ -102,8 +103,7 @@ class Demo:
     def read(self) -> PhotographSet:
         """The photographs. Raises PhotographError."""
         settings = self.settings
-        background = parse_background(settings.background)
-        return read_photographs(self.photographs, parse_size(settings.size), background, holdout=settings.holdout)
+        return stated_photographs(self.photographs, settings.size, settings.background, settings.holdout)
 
     def path(self, name: str) -> Path:
         return self.folder / name

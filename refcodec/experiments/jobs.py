@@ -245,19 +245,26 @@ def _run_step(job: Job, step: Step, wanted: Wanted, show: Show) -> None:
             # In its own process group, it receives Ctrl-C only from here, and thus once.
             process_group=0,
         )
-        while True:
-            # Like process.poll(), but also returns the processor time.
-            ended, status, used = os.wait4(process.pid, os.WNOHANG)
-            *whole, rest = (rest + lines.read()).split("\n")
-            for line in whole:
-                show(job.name, f"{step.name}: {line.strip()}")
-            if ended:
-                break
-            if wanted() != sent:
-                sent = wanted()
-                os.kill(process.pid, sent)
-            time.sleep(_LOOK)
-        process.returncode = status = os.waitstatus_to_exitcode(status)
+        try:
+            while True:
+                # Like process.poll(), but also returns the processor time.
+                ended, status, used = os.wait4(process.pid, os.WNOHANG)
+                if ended:
+                    process.returncode = os.waitstatus_to_exitcode(status)
+                *whole, rest = (rest + lines.read()).split("\n")
+                for line in whole:
+                    show(job.name, f"{step.name}: {line.strip()}")
+                if ended:
+                    break
+                if wanted() != sent:
+                    sent = wanted()
+                    os.kill(process.pid, sent)
+                time.sleep(_LOOK)
+        finally:
+            # After an exception the command would go on without anybody who waits for it.
+            process.kill()
+            process.wait()
+        status = process.returncode
         if status:
             stage.cancel()
     entry.seconds += time.perf_counter() - began
@@ -267,6 +274,17 @@ def _run_step(job: Job, step: Step, wanted: Wanted, show: Show) -> None:
         show(job.name, f"{step.name}: done in {time.perf_counter() - began:.1f} s")
     elif wanted():
         raise RunError(f"{step.name} was stopped", INTERRUPTED)
+    elif goes_on and step.state is not None and status == USAGE:
+        show(job.name, f"{step.name}: cannot be resumed, and begins anew")
+        refused = step.state.replace(step.state.with_name(f"{step.state.name}.refused"))
+        try:
+            _run_step(job, step, wanted, show)
+        except RunError:
+            # The state was not the reason.
+            if not has(step.state):
+                refused.replace(step.state)
+            raise
+        refused.unlink()
     else:
         last = job.log.read_text(encoding="utf-8", errors="replace").splitlines()[-_LAST_LINES:]
         raise RunError("\n".join([f"this command failed: {step}", *last]), status if status > 0 else FAULT)

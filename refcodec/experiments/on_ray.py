@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from .. import __version__
 from ..files.stage import write_file
 from ..statuses import FAULT
 from .jobs import Job, Outcome, Run, RunError, Wanted, run_job
@@ -30,7 +31,11 @@ def on_ray(folder: Path, jobs: int | None, processors: int, gpus: int) -> Iterat
     file = folder / f"stop-{uuid.uuid4().hex}"
     try:
         options: dict[str, Any] = {"num_cpus": os.cpu_count(), "include_dashboard": False}
-        ray.init(log_to_driver=False, logging_level=logging.ERROR, **({} if os.environ.get("RAY_ADDRESS") else options))
+        options = {} if os.environ.get("RAY_ADDRESS") else options
+        try:
+            ray.init(log_to_driver=False, logging_level=logging.ERROR, **options)
+        except (ConnectionError, RuntimeError, ValueError) as error:
+            raise RunError(f"Ray: {' '.join(str(error).split())}") from None
         there = {kind: int(ray.cluster_resources().get(kind, 0)) for kind in ("CPU", "GPU")}
         room = min(there["CPU"] // processors, there["GPU"] // gpus if gpus else there["CPU"])
         if room < 1:
@@ -38,9 +43,11 @@ def on_ray(folder: Path, jobs: int | None, processors: int, gpus: int) -> Iterat
         remote = ray.remote(_run).options(num_cpus=processors, num_gpus=gpus)
 
         def run(job: Job, wanted: Wanted) -> Outcome:
-            reference = remote.remote(job, file)
+            reference, sent = remote.remote(job, file, __version__), 0
             while not ray.wait([reference], timeout=0.5)[0]:
-                write_file(file, str(int(wanted())).encode())
+                if wanted() != sent:
+                    sent = wanted()
+                    write_file(file, str(int(sent)).encode())
             try:
                 return ray.get(reference)
             # The process or its machine was lost.
@@ -48,14 +55,23 @@ def on_ray(folder: Path, jobs: int | None, processors: int, gpus: int) -> Iterat
                 return Outcome(job.name, FAULT, f"Ray: {str(error).strip()}")
 
         yield min(room, jobs or room), run
-    except (ConnectionError, RuntimeError, ValueError) as error:
-        raise error if isinstance(error, RunError) else RunError(f"Ray: {' '.join(str(error).split())}") from None
     finally:
         file.unlink(missing_ok=True)
         ray.shutdown()
 
 
-def _run(job: Job, file: Path) -> Outcome:
+def _run(job: Job, file: Path, version: str) -> Outcome:
     """Runs a job in a process of Ray. These block SIGINT, which the commands that they start would inherit."""
+    if version != __version__:
+        return Outcome(job.name, FAULT, f"the machine of this cell has refcodec {__version__} instead of {version}")
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
-    return run_job(job, lambda: int(file.read_text()) if file.exists() else 0)
+    sent = 0
+
+    def wanted() -> int:
+        nonlocal sent
+        # The folder of another machine fails now and then: the signal remains what it was.
+        with contextlib.suppress(OSError, ValueError):
+            sent = int(file.read_text())
+        return sent
+
+    return run_job(job, wanted)

@@ -66,8 +66,8 @@ def row(scene: str, method: str, lambda_r: float, seed: int, result: Result) -> 
         "anchors": result.anchors,
         **{figure: getattr(result.mean, figure) for figure in FIGURES},
         "steps": result.definition["settings"]["steps"],
-        "seconds": result.seconds["train"],
-        "processor_seconds": result.processor_seconds["train"],
+        "seconds": result.seconds.get("train", math.nan),
+        "processor_seconds": result.processor_seconds.get("train", math.nan),
         "sha256": result.sha256 or "",
     }
 

@@ -22,7 +22,7 @@ def train(given: argparse.Namespace, output: Path) -> int:
     stopped = []
     signal.signal(signal.SIGINT, lambda *_: stopped.append(1))
     state, steps = Path(f"{output}.train-state"), given.steps or 1
-    if state.exists() != given.resume:
+    if state.exists() != given.resume or (given.resume and not state.read_text().isdigit()):
         return 64
     done = int(state.read_text()) if given.resume else 0
     while done < steps and not stopped:

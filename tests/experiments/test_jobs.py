@@ -6,6 +6,7 @@ import json
 import os
 import re
 import signal
+import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -66,6 +67,39 @@ def test_an_interrupt_at_any_point_changes_nothing(point: int, tmp_path: Path, m
     assert trained(job) == [*range(1, STEPS + 1)] or (point == STEPS and len(trained(job)) == 2 * STEPS)
     assert run_job(whole, lambda: 0).status == DONE
     assert outputs(job) == outputs(whole)
+
+
+@pytest.mark.usefixtures("fake")
+def test_a_state_that_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The step begins anew. If that fails as well, the state stays for another try."""
+    monkeypatch.setenv("FAKE_STEP", "50")
+    job = chain(tmp_path)
+    state = job.steps[0].state
+    assert run_job(job, lambda: signal.SIGINT if progress(job) else 0).status == INTERRUPTED
+    state.write_text("damaged")
+    with monkeypatch.context() as context:
+        context.setattr(jobs, "PROGRAM", (sys.executable, "-c", "raise SystemExit(64)"))
+        assert run_job(job, lambda: 0).status == 64
+    assert state.read_text() == "damaged"
+    assert run_job(job, lambda: 0).status == DONE
+    assert trained(job)[-STEPS:] == [*range(1, STEPS + 1)]
+    assert [*tmp_path.glob("*.train-state*")] == []
+
+
+@pytest.mark.usefixtures("fake")
+def test_a_command_ends_with_its_step(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also after an exception of what shows its lines."""
+    monkeypatch.setenv("FAKE_STEP", "50")
+    job = chain(tmp_path)
+
+    def failing(name: str, line: str) -> None:
+        raise ValueError("closed")
+
+    with pytest.raises(ValueError, match="closed"):
+        run_job(job, lambda: 0, failing)
+    lines = len(trained(job))
+    time.sleep(0.2)
+    assert len(trained(job)) == lines < STEPS
 
 
 @pytest.mark.usefixtures("fake")
