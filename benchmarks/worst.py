@@ -1,10 +1,13 @@
 """Time and memory of each decoder for the worst known files of each decoding step, against SPEC.md 13.1.
 
-`python -m benchmarks.worst` writes the section of RESULTS.md. It takes a quarter of an hour, and needs `cc`.
+python -m benchmarks.worst [--write]
+
+--write also writes the section of RESULTS.md. It takes a quarter of an hour, and needs `cc`.
 """
 
 from __future__ import annotations
 
+import argparse
 import shutil
 import sys
 import tempfile
@@ -33,7 +36,7 @@ from refcodec.statuses import REJECTED
 
 from .__main__ import Decoder, c_decoder
 from .resident import Usage, usage
-from .results import ROOT, machine, mib, table, write_section
+from .results import ROOT, machine, mib, publish, table
 
 SMALL = ROOT / "vectors" / "tiny-example.c3gs"
 # Runs SPEC.md's blocks on a file.
@@ -230,8 +233,13 @@ def rows(large: bool, wanted: dict[str, Decoder]) -> list[str]:
     return table(head, [*made.values(), ["most, with rejected files", "", "", "", *most]])
 
 
-def main() -> None:
-    """Measures, and writes the section."""
+def main(words: list[str] | None = None) -> int:
+    """Measures and prints. Returns the exit status."""
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.worst", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--write", action="store_true", help="write the section of benchmarks/RESULTS.md")
+    options = parser.parse_args(words)
     blocks: dict[str, Decoder] = {"blocks of SPEC.md": ([sys.executable, "-c", BLOCKS, "FILE"], {})}
     lines = [
         "`python -m benchmarks.worst`",
@@ -245,8 +253,8 @@ def main() -> None:
         "",
         *rows(False, blocks),
     ]
-    write_section("worst", "The worst files of each step", lines)
+    return publish("worst", "The worst files of each step", lines, options.write)
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -15,7 +15,7 @@ import msgspec
 from msgspec import Meta, Struct
 
 from .. import __version__
-from ..files.documents import DocumentError, read_json
+from ..files.documents import DocumentError, checked, read_json
 from ..files.stage import write_file
 from ..folder.layout import REPORT_FILE
 from ..train.settings import TrainSettings
@@ -92,10 +92,10 @@ def read_result(folder: Path) -> Result | None:
     Raises RunError for something else in its place, and OSError for one that cannot be read.
     """
     try:
-        found = msgspec.convert(read_json(folder / RESULT), Result) if has(folder / RESULT) else None
-    except (DocumentError, msgspec.ValidationError):
+        result: Result | None = checked(read_json(folder / RESULT), Result) if has(folder / RESULT) else None
+    except DocumentError:
         return None
-    return found if found and found.hash == hash_of(found.definition) else None
+    return result if result and result.hash == hash_of(result.definition) else None
 
 
 def write_result(

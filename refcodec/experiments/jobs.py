@@ -27,7 +27,7 @@ import msgspec
 from msgspec import Struct
 
 from .. import __version__
-from ..files.documents import DocumentError, read_json
+from ..files.documents import DocumentError, checked, read_json
 from ..files.interrupts import on_interrupt
 from ..files.lock import is_empty
 from ..files.present import NotAFileError, is_there
@@ -76,8 +76,9 @@ def has(path: Path) -> bool:
 def read(path: Path, kind: type[T]) -> T:
     """Returns the content of a JSON file that a command made, as a Struct. Raises RunError."""
     try:
-        return msgspec.convert(read_json(path), kind)
-    except (DocumentError, msgspec.ValidationError) as error:
+        value: T = checked(read_json(path), kind)
+        return value
+    except DocumentError as error:
         raise RunError(f"{path}: {error}; remove it, and the same command makes it again") from None
     except OSError as error:
         raise RunError(f"{path}: {error.strerror or error}") from None
@@ -176,8 +177,8 @@ class Job:
 
     def entries(self) -> dict[str, Entry]:
         """The record by step, empty if it is missing or damaged. Raises RunError and OSError if it cannot be read."""
-        with contextlib.suppress(DocumentError, msgspec.ValidationError):
-            return msgspec.convert(read_json(self.record), dict[str, Entry]) if has(self.record) else {}
+        with contextlib.suppress(DocumentError):
+            return checked(read_json(self.record), dict[str, Entry]) if has(self.record) else {}
         return {}
 
     def is_done(self, step: Step) -> bool:

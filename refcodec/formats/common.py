@@ -9,12 +9,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from ..bitstream.header import RenderInfo
-from ..files.documents import DocumentError, parse_json
+from ..files.documents import DocumentError, FieldError, checked, parse_json
 from ..files.ply import PlyError
 from ..files.text import printable
 from ..folder.layout import SceneFolderError
@@ -108,6 +107,9 @@ class Document:
                 raise ContentError(f"its {self._name} has no {path}")
             return default
         try:
-            return msgspec.convert(value, form)
-        except msgspec.ValidationError as error:
-            raise ContentError(f"{path} in its {self._name} is wrong ({printable(str(error), 200)})") from None
+            return checked(value, form)
+        except FieldError as error:
+            # Below a dictionary, the name has no keys.
+            inner = error.name.partition("[...]")[0].replace(".", "/")
+            where = "/".join(filter(None, (path, inner))) or "the value"
+            raise ContentError(f"{where} in its {self._name} {error.problem}") from None
