@@ -38,11 +38,10 @@ ORDER = {
     "Specification": ("specification", "/SPEC"),
     "More": (
         *("/ARCHITECTURE", "/CONTRIBUTING", "/CHANGELOG", "/SECURITY", "/conformance/README", "/vectors/README"),
-        *("/implementations/README", "/benchmarks/RESULTS"),
-        *("/refcodec/viewer/README", "/refcodec/web/README"),
+        *("/benchmarks/RESULTS", "/refcodec/viewer/README", "/refcodec/web/README"),
     ),
 }
-_FOLDERS = ("docs", "conformance", "implementations", "vectors", "benchmarks", "refcodec", "examples", "spec")
+_FOLDERS = ("docs", "conformance", "vectors", "benchmarks", "refcodec", "examples", "spec")
 include_patterns = ["*.md", *(f"{folder}/**.md" for folder in _FOLDERS)]
 
 

@@ -42,7 +42,6 @@ PARTS = {
         "conformance.cases",
         "conformance.runner",
         "conformance.report",
-        "conformance.registry",
         "conformance.fuzz",
         "conformance.mutants",
         "conformance.cli",

@@ -24,11 +24,11 @@ class _Parser(argparse.ArgumentParser):
 
 def make_parser() -> argparse.ArgumentParser:
     # These modules need the extra `conformance`.
-    from . import certifying, exchange, keeping, running  # noqa: PLC0415
+    from . import exchange, keeping, running  # noqa: PLC0415
 
     parser = _Parser(prog="conformance", description="Tests of decoders and encoders of C3GS files.")
     commands = parser.add_subparsers(required=True, metavar="command")
-    for module in (running, exchange, certifying, keeping):
+    for module in (running, exchange, keeping):
         module.add(commands)
     return parser
 
@@ -37,8 +37,8 @@ def _report(error: Exception) -> int:
     """Prints an error as one line; returns its exit status."""
     if isinstance(error, ModuleNotFoundError):
         note(
-            f"{error.name} is not installed: pip install 'refcodec[conformance]' for run, verify-report, "
-            "check-encoder and registry, '.[test]' for the others"
+            f"{error.name} is not installed: pip install 'refcodec[conformance]' for run, verify-report "
+            "and check-encoder, '.[test]' for the others"
         )
         return statuses.USAGE
     if statuses.is_out_of_memory(error):

@@ -26,7 +26,7 @@ from ..runner.grading import GRADE_CODE, GRADE_EXACT
 from ..runner.run import Options, Run, run
 from ..runner.selection import select
 from .errors import UsageError, note
-from .shared import add_jobs, add_slow, add_vectors, check_files, check_template, suite
+from .shared import add_jobs, add_vectors, check_files, check_template, suite
 
 # The files of a report.
 REPORTS = {
@@ -182,6 +182,13 @@ def verify_report(arguments: argparse.Namespace) -> int:
     return statuses.REJECTED if wrong else statuses.DONE
 
 
+def _factor(text: str) -> float:
+    value = float(text)
+    if not 0 < value < 1e6:
+        raise argparse.ArgumentTypeError("must be above 0")
+    return value
+
+
 def _add_grade(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--grade",
@@ -209,7 +216,9 @@ def add(commands: Any) -> None:
             "--gaussians", metavar="COMMAND", help="a command with {input}, {camera} and {output}, quoted as in a shell"
         )
         add_jobs(parser)
-        add_slow(parser)
+        parser.add_argument(
+            "--slow", type=_factor, default=1.0, metavar="X", help="factor of the time budgets (default: %(default)s)"
+        )
         return parser
 
     parser = shared("run", "test a decoder, and report where it first goes wrong", "-- ./mydecoder {input} {output}")

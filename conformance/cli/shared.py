@@ -22,13 +22,6 @@ def positive(text: str) -> int:
     return value
 
 
-def _factor(text: str) -> float:
-    value = float(text)
-    if not 0 < value < 1e6:
-        raise argparse.ArgumentTypeError("must be above 0")
-    return value
-
-
 def add_jobs(parser: argparse.ArgumentParser) -> None:
     """Adds the option for the number of processes."""
     parser.add_argument(
@@ -37,13 +30,6 @@ def add_jobs(parser: argparse.ArgumentParser) -> None:
         default=os.cpu_count() or 1,
         metavar="N",
         help="number of processes (default: one for each core)",
-    )
-
-
-def add_slow(parser: argparse.ArgumentParser) -> None:
-    """Adds the option for slower machines."""
-    parser.add_argument(
-        "--slow", type=_factor, default=1.0, metavar="X", help="factor of the time budgets (default: %(default)s)"
     )
 
 

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import gzip
 import hashlib
 import json
 import platform
 import re
 import shutil
-import zlib
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -19,7 +17,7 @@ import msgspec
 from msgspec import to_builtins
 
 from refcodec import __version__
-from refcodec.files.documents import SIZE_MAX, DocumentError, parse_json, read_json
+from refcodec.files.documents import DocumentError, read_json
 from refcodec.files.text import printable
 
 from ..manifest import MANIFEST, Manifest, Vector
@@ -89,22 +87,6 @@ def text(record: Record) -> str:
     return f"{before}{name}\n{vectors}\n {after}\n"
 
 
-def read(path: Path) -> Any:
-    """Returns the value of a report's file, JSON or JSON in gzip. Raises DocumentError for others, and OSError."""
-    if path.suffix != ".gz":
-        return read_json(path)
-    try:
-        with gzip.open(path) as file:
-            return parse_json(file.read(SIZE_MAX + 1))
-    except (gzip.BadGzipFile, EOFError, zlib.error) as error:
-        raise DocumentError(f"not a file in gzip ({error})") from None
-
-
-def packed(record: Record) -> bytes:
-    """Returns a record as JSON in gzip, without a time of its own: the same record is the same file."""
-    return gzip.compress(text(record).encode(), mtime=0)
-
-
 def _files(command: Sequence[str]) -> dict[str, str]:
     """Returns the SHA-256 of the program of a command, and of the files among its other words."""
     places = {word: Path(word) for word in command[1:] if Path(word).is_file()}
@@ -144,13 +126,9 @@ def build(manifest: Manifest, options: Options, about: About, run: Run) -> Recor
         "vectors": tuple(run.results),
     }
     # Every report and the terminal show names, commands and descriptions from outside.
-    return sealed(_printable(to_builtins(Record(**parts, sha256=""))))
-
-
-def sealed(document: dict[str, Any]) -> Record:
-    """Returns the record of a document, with the SHA-256 of the rest."""
-    found: Record = msgspec.convert({**document, "sha256": seal(document)}, Record)
-    return found
+    document = _printable(to_builtins(Record(**parts, sha256="")))
+    record: Record = msgspec.convert({**document, "sha256": seal(document)}, Record)
+    return record
 
 
 def _group(vector: Vector) -> str:
@@ -223,6 +201,6 @@ def check(document: Any) -> Record:
 def load(path: Path) -> Record:
     """Reads a record. Raises RecordError for another document, and OSError."""
     try:
-        return check(read(path))
+        return check(read_json(path))
     except (DocumentError, RecordError) as error:
         raise RecordError(f"{path}: {error}") from None

@@ -23,7 +23,6 @@ COMMANDS: list[tuple[tuple[str, ...], int]] = [
     (("conformance", "check-encoder", "scene.c3gs"), DONE),
     (("conformance", "fuzz", "-n", "1", "--jobs", "1", "--", "none", "{input}", "{output}"), USAGE),
     (("conformance", "generate", "-o", "photos"), USAGE),
-    (("conformance", "registry", "--folder", "none", "--check"), USAGE),
     (("conformance", "run", "--select", "id:valid-plain", "--slow", "20", *DECODER), DONE),
     (("conformance", "selftest", "--manifest", "scene.c3gs"), DAMAGED),
     (("conformance", "verify-report", "scene.c3gs", *DECODER), USAGE),

@@ -1,1 +1,0 @@
-"""The registry of implementations: their reports, audited, and from these a page and badges."""
