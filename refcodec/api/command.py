@@ -179,7 +179,7 @@ def words(function: Callable[..., Any]) -> dict[str, Word]:
         if name == "limits":
             limits = {"max_anchors": kinds.Count, "max_work": kinds.Work, "max_memory": kinds.Bytes}
             made += [_word(key, kind) for key, kind in limits.items()]
-        elif kinds.Write not in _alternatives(hint):
+        elif not any(kind in _alternatives(hint) for kind in kinds.PYTHON):
             made.append(_word(name, hint, texts.get(name, ""), default))
     return {word.name: word for word in made}
 
@@ -273,7 +273,11 @@ def command(
 
         @wraps(function)
         def call(*args: P.args, **kwargs: P.kwargs) -> R:
-            bound, known = signature.bind(*args, **kwargs), words(call)
+            known = words(call)
+            try:
+                bound = signature.bind(*args, **kwargs)
+            except TypeError as error:
+                raise TypeError(f"{name}: {error}; it takes {', '.join(signature.parameters)}") from None
             for key, value in bound.arguments.items():
                 if key in known and value is not None:
                     bound.arguments[key] = known[key].checked(value)

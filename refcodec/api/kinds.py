@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from numbers import Integral, Real
 from typing import Annotated, Any, Literal, get_args
@@ -94,6 +94,10 @@ Device = Literal["cpu", "cuda"]
 Axis = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
 # Receives text as it is made. That of a command is stdout.
 Write = Callable[[str], object]
+# Stages of a training (refcodec.train.stage.Stage). A command has none.
+Stages = Sequence[Any]
+# The kinds of words that only Python has.
+PYTHON = (Write, Stages)
 
 
 def axis_number(up: str | None) -> int | None:

@@ -75,6 +75,7 @@ def train(
     keep_state: bool = False,
     log: kinds.LogPath | None = None,
     progress: bool = False,
+    stages: kinds.Stages = (),
     **words: Unpack[TrainingWords],
 ) -> Report:
     """Learn a scene from photographs, and write a scene folder.
@@ -104,6 +105,7 @@ def train(
         keep_state: keep SCENE_DIR.train-state after the end, so that --resume --steps N can extend the training.
         log: write a row for each evaluation on held-out photographs: step, seconds, PSNR, anchors, bytes by part,
             phase; a folder is for TensorBoard and needs pip install 'refcodec[tensorboard]'.
+        stages: further stages of the training (docs/method.md), called after those of the method.
 
     Examples:
         train photographs -o scene
@@ -175,6 +177,7 @@ def train(
             log=rows,
             metadata=entries,
             given=given,
+            stages=stages,
             up_axis=kinds.axis_number(words.get("up")),
         )
 

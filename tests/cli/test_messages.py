@@ -166,7 +166,7 @@ def test_every_command_is_a_function_of_the_api() -> None:
             assert [word.name for word in words(function).values() if not word.text] == []
             stated = {action.dest for action in commands[function.command.name]._actions} - {"help"}
             assert stated == {word.name for word in words(function).values()}
-            known = {*inspect.signature(function).parameters} - {"limits", "write"}
+            known = {*inspect.signature(function).parameters} - {"limits", "write", "stages"}
             assert known <= stated
             assert "    " + function.command.name in sections(function)["Examples"]
 
