@@ -240,11 +240,12 @@ def test_the_bound_that_stopped_it_is_said(way: int, monkeypatch: pytest.MonkeyP
     for allowed in (None, Limits(), Limits(5, memory=1 << 20, program=0)):
         readers(data, allowed)[way]()
     monkeypatch.setattr(Reader, "open", pytest.fail)
-    for bounds, which, needed in (
-        (Limits(4, memory=1), "anchors", 5),
-        (Limits(5, memory=999, program=0), "memory", None),
+    for bounds, which, needed, message in (
+        (Limits(4, memory=1), "anchors", 5, "it has 5 anchors, but --max-anchors allows 4"),
+        (Limits(5, work=1000), "work", 46350, "units of work"),
+        (Limits(5, memory=999, program=0), "memory", None, "memory"),
     ):
-        with pytest.raises(BoundPassedError, match=f"{which}.*verdict") as raised:
+        with pytest.raises(BoundPassedError, match=f"{message}.*verdict") as raised:
             readers(data, bounds)[way]()
         assert raised.value.bound == which
         assert raised.value.allowed == getattr(bounds, which)

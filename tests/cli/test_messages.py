@@ -92,6 +92,8 @@ WRONG = rows(
     export trained.c3gs -o scene.spz --spz-bits 3 | --spz-bits must be a whole number from 4 to 8, not 3
     export static.c3gs -o scene.ply --degree 2 | a static scene, which needs no fit: omit --degree
     export static.c3gs -o scene.ply --cameras x | a static scene, which needs no fit: omit --cameras
+    view nowhere.c3gs | nowhere.c3gs: No such file
+    view scene.c3gs --photographs nothing | nothing | PIL scipy
     view scene.c3gs --port 65536 | --port must be a whole number from 0 to 65535, not 65536
     train | train needs PHOTOGRAPHS and -o SCENE_DIR
     train photos -o new --preset slow | --preset must be fast or paper, not slow
@@ -245,14 +247,3 @@ def test_a_file_of_another_kind(data: bytes, looks: str, place: Path, call: Call
         assert json.loads(err.splitlines()[-1])["code"] == (102 if data else 101)
         assert ("not a C3GS file" in out) == (command == "inspect" and bool(data))
         assert len(out.splitlines()) <= 1 or not data
-
-
-def test_damaged_folders_are_named(place: Path, call: Call) -> None:
-    document = json.loads(Path("scene/scene.json").read_text())
-    document["render"]["near_plane"] = 0
-    Path("scene/scene.json").write_text(json.dumps(document))
-    status, _, err = call("encode", "scene", "-o", "out")
-    assert (status, "near_plane" in err, len(err.splitlines())) == (64, True, 1)
-    Path("scene/planes.safetensors").unlink()
-    assert call("encode", "scene", "-o", "out")[0] == 64
-    assert not Path("out").exists()

@@ -318,6 +318,9 @@ REFUSED = rows(
     decode scene/ancillary_0_noTE.bin -o scene | is read | mv scene.c3gs scene/ancillary_0_noTE.bin
     decode scene.c3gs -o photos | not a scene folder
     inspect scene.c3gs --html letter.txt | not a page
+    inspect scene.c3gs --html scene.c3gs | not a page
+    inspect scene.c3gs --html mine.html | not a page | echo '<!DOCTYPE html><title>mine</title>' > mine.html
+    inspect scene.c3gs --html photos | is a directory
     fit scene -o scene | read | | torch
     fit scene/point_cloud.ply -o scene | read | | torch
     fit scene -o new | saved state | echo precious > new.fit-state | torch

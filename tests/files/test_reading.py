@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import json
+import os
 import shutil
 import struct
 import warnings
@@ -270,28 +272,34 @@ def test_a_changed_point_cloud_is_read_or_refused(plain: Path, tmp_path_factory:
 # --- archives and images ----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", ["cut", "encrypted", "damaged", "array", "pickle"])
-def test_archives_of_points(kind: str, tmp_path: Path, capsys: Captured) -> None:
+def archives() -> dict[str, bytes]:
+    """Archives of points that are cut, encrypted, or damaged, have an array alone, or a pickle."""
+    whole, array, pickled = io.BytesIO(), io.BytesIO(), io.BytesIO()
+    np.savez_compressed(whole, means3d=np.zeros((5, 3)), colors=np.zeros((5, 3)))
+    np.save(array, np.zeros(3))
+    np.savez(pickled, means3d=np.array([{}], object), colors=np.zeros((1, 3)))
+    data = whole.getvalue()
+    encrypted = bytearray(data)
+    with zipfile.ZipFile(whole) as archive:
+        encrypted[6] |= 1
+        encrypted[archive.start_dir + 8] |= 1
+    damaged = data[:60] + bytes(30) + data[90:]
+    return {
+        "cut": data[:100], "encrypted": bytes(encrypted), "damaged": damaged, "array": array.getvalue(),
+        "pickle": pickled.getvalue(), "junk": b"junk", "empty": b"", "head": b"PK\3\4cut",
+    }  # fmt: skip
+
+
+TEXTS = {"words.txt": b"not points\n", "remark.txt": b"# none\n", "junk.ply": b"junk"}
+
+
+@pytest.mark.parametrize(("name", "data"), {**{f"{k}.npz": v for k, v in archives().items()}, **TEXTS}.items())
+@pytest.mark.filterwarnings("ignore:.*no data")
+def test_files_of_points(name: str, data: bytes, tmp_path: Path, capsys: Captured) -> None:
     pytest.importorskip("torch")
-    file = tmp_path / "points.npz"
-    np.savez_compressed(file, means3d=np.zeros((5, 3)), colors=np.zeros((5, 3)))
-    data = bytearray(file.read_bytes())
-    if kind == "cut":
-        data = data[:100]
-    elif kind == "encrypted":
-        with zipfile.ZipFile(file) as archive:
-            at = archive.start_dir
-        data[6] |= 1
-        data[at + 8] |= 1
-    elif kind == "damaged":
-        data[60:90] = bytes(30)
-    file.write_bytes(data)
-    if kind == "array":
-        np.save(tmp_path / "a.npy", np.zeros(3))
-        file.write_bytes((tmp_path / "a.npy").read_bytes())
-    if kind == "pickle":
-        np.savez(file, means3d=np.array([{}], object), colors=np.zeros((1, 3)))
-    refused(capsys, "fit", file, "-o", tmp_path / "scene", "--steps", "1")
+    (tmp_path / name).write_bytes(data)
+    assert '"code"' not in refused(capsys, "fit", tmp_path / name, "-o", tmp_path / "scene", "--steps", "1")
+    assert os.listdir(tmp_path) == [name]
 
 
 def png(width: int, height: int, rows: int) -> bytes:

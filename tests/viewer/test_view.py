@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 import os
 import queue
 import re
@@ -215,29 +214,6 @@ def test_export(trained: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str
     capsys.readouterr()
     assert main(["export", str(trained), "-o", str(output)]) == 64
     assert "a page that refcodec wrote" in capsys.readouterr().err
-
-
-def test_export_of_a_bad_file(trained: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    data = bytearray(trained.read_bytes())
-    data[len(data) - 1000] ^= 1
-    (tmp_path / "bad.c3gs").write_bytes(data)
-    assert main(["export", str(tmp_path / "bad.c3gs"), "-o", str(tmp_path / "scene.html")]) == 1
-    assert {"code", "offset", "clause"} <= json.loads(capsys.readouterr().err.splitlines()[-1]).keys()
-    assert not (tmp_path / "scene.html").exists()
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["view", "nothing.c3gs"], "nothing.c3gs: No such file"),
-        (["view", "FILE", "--port", "70000"], "must be a whole number from 0 to 65535"),
-        (["view", "FILE", "--photographs", "nothing"], "nothing"),
-        (["view", "FILE", "--max-anchors", "100"], "--max-anchors"),
-    ],
-)
-def test_wrong_usage(words: list[str], message: str, trained: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main([str(trained) if word == "FILE" else word for word in words]) == 64
-    assert message in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
