@@ -9,19 +9,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cli_inputs import CALITERRA, TRAINED, Call
 
 for package in ("numba", "PIL", "scipy"):
     pytest.importorskip(package, reason="exporting needs the packages of the extra render")
 
 from plyfile import PlyData  # noqa: E402
 
-from refcodec.cli.main import main  # noqa: E402
 from refcodec.export import fit, views  # noqa: E402
-
-ROOT = Path(__file__).resolve().parents[2]
-TRAINED = ROOT / "vectors" / "valid" / "trained-caliterra.c3gs"
-STATIC = ROOT / "vectors" / "valid" / "static-degree-2.c3gs"
-PHOTOGRAPHS = ROOT / "examples" / "photographs" / "caliterra"
 
 
 @pytest.fixture
@@ -37,7 +32,7 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 QUICK = ("--iterations", "0", "--degree", "1")
 
 
-def test_export(place: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_export(place: Path, call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
     """All formats of one command are of one fit."""
     fits, whole = [], fit.fit
 
@@ -48,62 +43,56 @@ def test_export(place: Path, capsys: pytest.CaptureFixture[str], monkeypatch: py
     monkeypatch.setattr(fit, "fit", counted)
     outputs = [place / f"scene.{suffix}" for suffix in ("ply", "spz", "sog", "glb")]
     words = ["export", "scene.c3gs", *(word for output in outputs for word in ("-o", output.name)), *QUICK]
-    assert main(words) == 0
-    assert len(fits) == 1
-    said = capsys.readouterr()
+    status, out, err = call(*words)
+    assert (status, len(fits)) == (0, 1)
     found = re.findall(
         r"(scene\.\w+): (\S+) of 6,120 Gaussians, degree 1, (\S+) bytes, scene\.c3gs has 53,052\n"
         r"(?:its harmonics have 7 bits; with 8 \(export --spz-bits\) it has \S+ bytes\n)?"
         r"PSNR to the scene: (\S+) dB over 2 views, fitted to 16 cameras around the scene\n",
-        said.out,
+        out,
     )
-    assert [name for name, *_ in found] == [output.name for output in outputs], said.out
+    assert [name for name, *_ in found] == [output.name for output in outputs], out
     assert [int(size.replace(",", "")) for *_, size, _ in found] == [output.stat().st_size for output in outputs]
     assert all(float(near) > 25 for *_, near in found)
-    assert "--cameras PHOTOGRAPHS" in said.err
+    assert "--cameras PHOTOGRAPHS" in err
     table = PlyData.read(str(outputs[0]))["vertex"].data
     assert len(table) == int(found[0][1].replace(",", ""))
     assert all(np.isfinite(table[name]).all() for name in table.dtype.names)
     # It replaces what it wrote, with the same bytes, and nothing else.
     before = [output.read_bytes() for output in outputs]
-    assert main(words) == 0
+    assert call(*words)[0] == 0
     assert [output.read_bytes() for output in outputs] == before
     for output, data in zip(outputs, before, strict=True):
         output.write_bytes(b"ply\nformat binary_little_endian 1.0\nelement vertex 0\nend_header\n")
-        assert main(words) == 64
-        assert "refcodec wrote" in capsys.readouterr().err
+        status, _, err = call(*words)
+        assert (status, "refcodec wrote" in err) == (64, True)
         output.write_bytes(data)
     assert [output.read_bytes() for output in outputs] == before
 
 
-def test_a_static_scene(place: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_static_scene(place: Path, call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
     """Export of a static scene is no fit, and decode writes the same files."""
     monkeypatch.setattr(fit, "fit", None)
-    shutil.copy(STATIC, place / "static.c3gs")
+    shutil.copy(TRAINED.with_name("static-degree-2.c3gs"), place / "static.c3gs")
     outputs = [f"static.{suffix}" for suffix in ("ply", "spz", "sog", "glb")]
-    assert main(["export", "static.c3gs", *(word for output in outputs for word in ("-o", output))]) == 0
-    said = capsys.readouterr()
-    assert said.err == ""
+    said = call("export", "static.c3gs", *(word for output in outputs for word in ("-o", output)))
+    assert (said[0], said[2]) == (0, "")
     for output in outputs:
         size = (place / output).stat().st_size
-        assert f"{output}: 9 Gaussians, degree 2, {size:,} bytes, static.c3gs has 4,040\n" in said.out
+        assert f"{output}: 9 Gaussians, degree 2, {size:,} bytes, static.c3gs has 4,040\n" in said[1]
     before = [(place / output).read_bytes() for output in outputs]
-    assert main(["decode", "static.c3gs", *(word for output in outputs for word in ("--splat", output))]) == 0
-    assert capsys.readouterr() == said
+    assert call("decode", "static.c3gs", *(word for output in outputs for word in ("--splat", output))) == said
     assert [(place / output).read_bytes() for output in outputs] == before
-    assert main(["decode", "static.c3gs", "-o", "folder"]) == 0
-    assert main(["export", "folder", "-o", "again.ply"]) == 0
+    assert call("decode", "static.c3gs", "-o", "folder")[0] == call("export", "folder", "-o", "again.ply")[0] == 0
     assert (place / "again.ply").read_bytes() == before[0]
 
 
-def test_bits_of_spz(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bits_of_spz(place: Path, call: Call) -> None:
     """Fewer bits take fewer bytes, and the output has the size with others."""
     sizes = {}
     for words in ([], ["--spz-bits", "4"], ["--spz-bits", "8"]):
-        assert main(["export", "scene.c3gs", "-o", "a.spz", *QUICK, *words]) == 0
-        bits, other, size = re.search(  # type: ignore[union-attr]
-            r"its harmonics have (\d) bits; with (\d) \(export --spz-bits\) it has (\S+) bytes", capsys.readouterr().out
-        ).groups()
+        said = r"its harmonics have (\d) bits; with (\d) \(export --spz-bits\) it has (\S+) bytes"
+        ((bits, other, size),) = re.findall(said, call("export", "scene.c3gs", "-o", "a.spz", *QUICK, *words)[1])
         sizes[bits] = (place / "a.spz").stat().st_size
         sizes.setdefault(f"said {other}", int(size.replace(",", "")))
     assert list(sizes) == ["7", "said 8", "4", "8", "said 7"]
@@ -112,22 +101,19 @@ def test_bits_of_spz(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.slow
-def test_photographs_are_nearer(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_photographs_are_nearer(place: Path, call: Call) -> None:
     """Where the scene was trained, it depends less on the view than elsewhere."""
-    assert main(["export", "scene.c3gs", "-o", "a.ply", *QUICK]) == 0
-    around = capsys.readouterr().out
-    assert main(["export", "scene.c3gs", "-o", "b.ply", *QUICK, "--cameras", str(PHOTOGRAPHS), "--size", "48"]) == 0
-    trained = capsys.readouterr().out
+    around = call("export", "scene.c3gs", "-o", "a.ply", *QUICK)[1]
+    trained = call("export", "scene.c3gs", "-o", "b.ply", *QUICK, "--cameras", CALITERRA, "--size", "48")[1]
     assert "cameras of photographs" in trained
     near = [float(re.search(r"(\S+) dB", text)[1]) for text in (around, trained)]  # type: ignore[index]
     assert near[1] > near[0] + 2
 
 
-def test_a_scene_folder(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["decode", "scene.c3gs", "-o", "scene"]) == 0
-    assert main(["export", "scene", "-o", "a.ply", *QUICK]) == 0
-    assert main(["export", "scene.c3gs", "-o", "b.ply", *QUICK]) == 0
+def test_a_scene_folder(place: Path, call: Call) -> None:
+    assert call("decode", "scene.c3gs", "-o", "scene")[0] == 0
+    for source, output in (("scene", "a.ply"), ("scene.c3gs", "b.ply")):
+        assert call("export", source, "-o", output, *QUICK)[0] == 0
     assert (place / "a.ply").read_bytes() == (place / "b.ply").read_bytes()
-    capsys.readouterr()
-    assert main(["export", "scene", "-o", "scene/new.ply", *QUICK]) == 64
-    assert "files are read" in capsys.readouterr().err
+    status, _, err = call("export", "scene", "-o", "scene/new.ply", *QUICK)
+    assert (status, "files are read" in err) == (64, True)

@@ -188,29 +188,20 @@ def test_missing_folder(tmp_path):
     refused(tmp_path, "scene.json", "missing")
 
 
-@pytest.mark.parametrize(
-    "name", ["scene.json", "point_cloud.ply", "networks.safetensors", "planes.safetensors", "ancillary_0_noTe.bin"]
-)
+NAMES = ["scene.json", "point_cloud.ply", "networks.safetensors", "planes.safetensors", "coded.safetensors"]
+JUNK_FILES = [b"", b"\x80\x04K\x01.", b"\xff" * 300, b"ply\nformat ascii 1.0\nend_header\n", b"[]", b"[" * 100_000]
+
+
+@pytest.mark.parametrize("name", [*NAMES[:-1], "ancillary_0_noTe.bin"])
 def test_missing_file(made, name):
     (made / name).unlink()
     refused(made, name, "missing")
 
 
-@pytest.mark.parametrize(
-    "name", ["scene.json", "point_cloud.ply", "networks.safetensors", "planes.safetensors", "coded.safetensors"]
-)
-@pytest.mark.parametrize(
-    "content", [b"", b"\x80\x04K\x01.", b"\xff" * 300, b"ply\nformat ascii 1.0\nend_header\n", b"[]", b"[" * 100_000]
-)
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("content", [*JUNK_FILES, "cut"])
 def test_wrong_file(made, name, content):
-    (made / name).write_bytes(content)
-    refused(made, name)
-
-
-@pytest.mark.parametrize("name", ["point_cloud.ply", "networks.safetensors", "planes.safetensors", "coded.safetensors"])
-def test_cut_file(made, name):
-    content = (made / name).read_bytes()
-    (made / name).write_bytes(content[: len(content) - 5])
+    (made / name).write_bytes((made / name).read_bytes()[:-5] if content == "cut" else content)
     refused(made, name)
 
 
@@ -326,21 +317,24 @@ def without(prefix: str):
     return change
 
 
-@pytest.mark.parametrize("name", ["x", "f_offset_3", "f_mask_0", "f_anchor_feat_2", "scale_4"])
-def test_edited_ply_is_refused(made, name):
-    rewrite_ply(made / "point_cloud.ply", lambda t: put(7, 12.5)(t[name]) is None or t)
-    error = refused(made, f"{name} of anchor 7 is 12.5")
-    assert "delete coded.safetensors" in error.advice
+def with_value(name, index, value):
+    return lambda table: put(index, value)(table[name]) is None or table
 
 
-def test_ply_with_other_anchors_is_refused(made):
-    rewrite_ply(made / "point_cloud.ply", lambda t: t[:-1])
-    assert "delete coded.safetensors" in refused(made, "29 anchors").advice
-
-
-def test_ply_without_properties_is_refused(made):
-    rewrite_ply(made / "point_cloud.ply", without("scale_"))
-    refused(made, "0 properties scale_*")
+@pytest.mark.parametrize(
+    ("change", "problem"),
+    [
+        *(
+            (with_value(name, 7, 12.5), f"{name} of anchor 7 is 12.5")
+            for name in ("x", "f_offset_3", "f_mask_0", "f_anchor_feat_2", "scale_4")
+        ),
+        (lambda t: t[:-1], "29 anchors"),
+        (without("scale_"), "0 properties scale_*"),
+    ],
+)
+def test_edited_ply_is_refused(made, change, problem):
+    rewrite_ply(made / "point_cloud.ply", change)
+    assert "delete coded.safetensors" in refused(made, problem).advice
 
 
 def test_ply_with_other_types_and_properties_is_the_same(made, scene):
@@ -438,7 +432,7 @@ def test_edited_ply_is_quantised(made, scene):
     coded = read_folder(made)
     assert coded.masks.all()
     assert coded.anchor_count == scene.anchor_count
-    rewrite_ply(made / "point_cloud.ply", lambda t: put(0, 1e30)(t["x"]) is None or t)
+    rewrite_ply(made / "point_cloud.ply", with_value("x", 0, 1e30))
     refused(made, "point_cloud.ply", "cannot be quantised")
     rewrite_ply(made / "point_cloud.ply", without("f_anchor_feat_4"))
     refused(made, "4 features")
@@ -499,7 +493,7 @@ def test_read_cloud_of_a_scene_folder(made, scene):
         (without("f_offset_2"), "numbered"),
         (without("z"), "xyz"),
         (without("f_anchor"), "feat"),
-        (lambda t: put(0, np.nan)(t["scale_0"]) is None or t, "NaN"),
+        (with_value("scale_0", 0, np.nan), "NaN"),
     ],
 )
 def test_read_cloud_refuses(tmp_path, change, words):

@@ -6,6 +6,7 @@ import base64
 import io
 import json
 import unicodedata
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -32,10 +33,23 @@ ROOT = Path(__file__).resolve().parents[2]
 VALID = ROOT / "vectors" / "valid"
 
 
+@pytest.fixture(autouse=True)
+def _nothing_is_said(browser: Chromium) -> Iterator[None]:
+    """The browser reports no fault of the page, whatever is tested."""
+    browser.said.clear()
+    yield
+    assert browser.said == []
+
+
 def _open(browser: Chromium, path: Path) -> None:
     browser.asked.clear()
-    browser.said.clear()
     browser.open(path.as_uri())
+
+
+def _show(browser: Chromium, folder: Path, data: bytes, name: str = "scene.c3gs") -> None:
+    """Opens the page of a file, and waits until it is drawn. Raises BrowserError if the page refuses it."""
+    _open(browser, _write(folder, data, name))
+    browser.run("c3gs.settle()")
 
 
 def _text(browser: Chromium, selector: str) -> str:
@@ -87,7 +101,6 @@ def test_the_page_draws_what_render_draws(browser: Chromium, exported: tuple[Pat
         assert psnr > 35, f"{name}: {psnr:.1f} dB"
         compared += 1
     assert compared == 3
-    assert browser.said == []
     outside = [url for url in browser.asked if not url.startswith(("file:", "blob:", "data:"))]
     assert outside == []
     assert output.as_uri() in browser.asked
@@ -118,8 +131,7 @@ def test_what_the_page_says(browser: Chromium, trained: Path, tmp_path: Path) ->
     title = "</script><img src=x onerror=alert(1)>"
     entries = {"title": title, "author": "A. Author", "licence": "CC-BY-4.0"}
     data = emit(replace(scene, ancillary=with_metadata(scene.ancillary, entries)))
-    _open(browser, _write(tmp_path, data, name="</script><b>x"))
-    browser.run("c3gs.settle()")
+    _show(browser, tmp_path, data, name="</script><b>x")
     assert _text(browser, "#title") == title
     assert _text(browser, "#credit") == "A. Author · licence CC-BY-4.0"
     browser.run("document.getElementById('sizes').click()")
@@ -127,7 +139,6 @@ def test_what_the_page_says(browser: Chromium, trained: Path, tmp_path: Path) ->
     sizes = {row[0]: int(row[1].replace(",", "")) for row in rows}
     assert sizes.pop("file") == len(data) == sum(sizes.values())
     assert sizes["weights of the networks"] == 22281
-    assert browser.said == []
 
 
 def test_texts_that_cannot_be_shown(browser: Chromium, trained: Path, tmp_path: Path) -> None:
@@ -138,8 +149,7 @@ def test_texts_that_cannot_be_shown(browser: Chromium, trained: Path, tmp_path: 
     named = [replace(camera, name=steering + camera.name) for camera in cameras(scene.ancillary)]
     assert named
     ancillary = (*with_metadata((), entries), Ancillary(CAMERAS, 0, emit_cameras(named)))
-    _open(browser, _write(tmp_path, emit(replace(scene, ancillary=ancillary)), name=steering))
-    browser.run("c3gs.settle()")
+    _show(browser, tmp_path, emit(replace(scene, ancillary=ancillary)), name=steering)
     shown = [browser.run("document.title")]
     shown += [browser.run(f"document.querySelector('{at}').textContent") for at in ("#title", "#credit", "option")]
     assert all(text.isprintable() and printable(steering) in text and len(text) < 300 for text in shown)
@@ -176,15 +186,13 @@ def test_a_damaged_file(browser: Chromium, trained: Path, tmp_path: Path) -> Non
     with pytest.raises(BitstreamError) as refused:
         parse(bytes(data))
     verdict = json.loads(refused.value.to_json())
-    _open(browser, _write(tmp_path, bytes(data)))
     with pytest.raises(BrowserError, match=str(verdict["code"])):
-        browser.run("c3gs.settle()")
+        _show(browser, tmp_path, bytes(data))
     message = _text(browser, "#error")
     assert "damaged" in message
     for part in (str(verdict["code"]), verdict["name"], f"SPEC.md {verdict['clause']}", f"byte {verdict['offset']}"):
         assert part in message
     assert browser.run("c3gs.drawing.count") == 0
-    assert browser.said == []
 
 
 def test_a_file_that_needs_too_much_memory(browser: Chromium, tmp_path: Path) -> None:
@@ -200,12 +208,10 @@ def test_a_file_that_needs_too_much_memory(browser: Chromium, tmp_path: Path) ->
     mask_model = np.full_like(scene.mask_model, (1 << 14) - 1)
     positions, masks = rows(scene.positions), rows(scene.masks, 1)
     scene = replace(scene, positions=positions, masks=masks, mask_model=mask_model, attributes=attributes)
-    _open(browser, _write(tmp_path, emit(scene)))
     with pytest.raises(BrowserError, match="bytes of memory"):
-        browser.run("c3gs.settle()")
+        _show(browser, tmp_path, emit(scene))
     assert "memory" in _text(browser, "#error")
     assert browser.run("c3gs.header === undefined")
-    assert browser.said == []
 
 
 @pytest.mark.parametrize(
@@ -238,44 +244,36 @@ def test_files_of_other_kinds(data: bytes, parts: list[str], browser: Chromium, 
     browser.run("document.getElementById('file').onclick = (event) => (event.preventDefault(), globalThis.asked = 1)")
     browser.run("document.querySelector('#error button').click()")
     assert browser.run("globalThis.asked") == 1
-    assert browser.said == []
 
 
 @pytest.mark.parametrize("name", ["empty", "tiny-example"])
 def test_small_files(name: str, browser: Chromium, tmp_path: Path) -> None:
     """A scene without anchors is an image of the background."""
     path = ROOT / "vectors" / "tiny-example.c3gs" if name == "tiny-example" else VALID / f"{name}.c3gs"
-    _open(browser, _write(tmp_path, path.read_bytes()))
-    browser.run("c3gs.settle()")
+    _show(browser, tmp_path, path.read_bytes())
     assert browser.run("c3gs.header.anchor_count") == len(parse(path.read_bytes()).scene.positions)
-    assert browser.said == []
 
 
 @pytest.mark.parametrize(("transfer", "shown"), [(13, [128, 64, 255]), (8, [188, 137, 255]), (99, [128, 64, 255])])
 def test_linear_light_is_encoded(transfer: int, shown: list[int], browser: Chromium, tmp_path: Path) -> None:
     """SPEC 6.5: transfer characteristics 8 are linear light. Others are shown as those of sRGB."""
     render = RenderInfo(background=(128, 64, 255), transfer_characteristics=transfer)
-    _open(browser, _write(tmp_path, emit(random_scene(1, 0, PLANELESS, render=render))))
-    browser.run("c3gs.settle()")
+    _show(browser, tmp_path, emit(random_scene(1, 0, PLANELESS, render=render)))
     assert np.abs(_edge(browser).reshape(-1, 3).astype(int) - shown).max() <= 1
-    assert browser.said == []
 
 
 @pytest.mark.requirement("G6.5-1")
 def test_other_render_models_are_not_drawn(browser: Chromium, tmp_path: Path) -> None:
     render = RenderInfo(background=(128, 64, 255), render_model=7)
-    _open(browser, _write(tmp_path, emit(random_scene(1, 5, PLANELESS, render=render))))
     with pytest.raises(BrowserError, match="render_model"):
-        browser.run("c3gs.settle()")
+        _show(browser, tmp_path, emit(random_scene(1, 5, PLANELESS, render=render)))
     assert "render_model is 7" in _text(browser, "#error")
     assert not _edge(browser).any()
-    assert browser.said == []
 
 
 def test_it_moves(browser: Chromium, trained: Path, tmp_path: Path) -> None:
     """Dragging turns around the scene, keys fly, and R comes back."""
-    _open(browser, _write(tmp_path, trained.read_bytes()))
-    browser.run("c3gs.settle()")
+    _show(browser, tmp_path, trained.read_bytes())
     start = browser.run("c3gs.pose")
     for kind, x in (("mousePressed", 300), ("mouseMoved", 360), ("mouseReleased", 360)):
         browser.ask("Input.dispatchMouseEvent", {"type": kind, "x": x, "y": 200, "button": "left", "buttons": 1})
@@ -301,8 +299,7 @@ def _press(browser: Chromium, code: str, key: str) -> None:
 
 def test_a_double_click(browser: Chromium, trained: Path, tmp_path: Path) -> None:
     """What it meets comes to the middle, and the camera turns around it from where it was."""
-    _open(browser, _write(tmp_path, trained.read_bytes()))
-    browser.run("c3gs.settle()")
+    _show(browser, tmp_path, trained.read_bytes())
     start = browser.run("c3gs.pose")
     for count in (1, 2):
         for kind in ("mousePressed", "mouseReleased"):
@@ -325,8 +322,7 @@ def test_a_double_click(browser: Chromium, trained: Path, tmp_path: Path) -> Non
 
 def test_the_tools(browser: Chromium, trained: Path, tmp_path: Path) -> None:
     """Help, a button for each tool, and no frame around the page after a key. All of it is within a phone's page."""
-    _open(browser, _write(tmp_path, trained.read_bytes()))
-    browser.run("c3gs.settle()")
+    _show(browser, tmp_path, trained.read_bytes())
     start = browser.run("c3gs.pose")
     is_open = "document.getElementById('help').open"
     # While the help is open, keys do nothing else.
@@ -364,7 +360,6 @@ def test_the_tools(browser: Chromium, trained: Path, tmp_path: Path) -> None:
     finally:
         screen = {"width": 640, "height": 480, "deviceScaleFactor": 1, "mobile": False}
         browser.ask("Emulation.setDeviceMetricsOverride", screen)
-    assert browser.said == []
 
 
 def _input(data: bytes) -> str:
@@ -384,8 +379,7 @@ def test_a_file_after_another(browser: Chromium, trained: Path, tmp_path: Path) 
     """Of two files that are chosen at once, the last one is shown. A refused one leaves nothing of those before it."""
     good = trained.read_bytes()
     empty = (VALID / "empty.c3gs").read_bytes()
-    _open(browser, _write(tmp_path, good))
-    browser.run("c3gs.settle()")
+    _show(browser, tmp_path, good)
     assert _edge(browser).std() > 1
     # A key is held meanwhile. Both begin before either has a worker.
     browser.ask("Input.dispatchKeyEvent", {"type": "keyDown", "code": "KeyW", "key": "w"})
@@ -404,13 +398,11 @@ def test_a_file_after_another(browser: Chromium, trained: Path, tmp_path: Path) 
     with pytest.raises(BrowserError, match="clause"):
         browser.run("c3gs.settle()")
     assert not _edge(browser).any()
-    assert browser.said == []
 
 
 def test_the_device_is_lost(browser: Chromium, trained: Path, tmp_path: Path) -> None:
     """The page says so, also for a file that is chosen later."""
-    _open(browser, _write(tmp_path, trained.read_bytes()))
-    browser.run("c3gs.settle()")
+    _show(browser, tmp_path, trained.read_bytes())
     browser.run("c3gs.drawing.gl.getExtension('WEBGL_lose_context').loseContext()")
     browser.until("!document.getElementById('error').hidden")
     assert "device was lost" in _text(browser, "#error")
