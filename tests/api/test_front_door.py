@@ -25,7 +25,6 @@ from refcodec.bitstream.metadata import with_metadata
 from refcodec.bitstream.reconstruction import digest, reconstruct
 from refcodec.bitstream.scene import Ancillary, take_anchors
 from refcodec.bitstream.scene import Scene as CodedScene
-from refcodec.cli.main import main
 from refcodec.folder.layout import SceneFolderError
 from refcodec.native.library import paths
 from refcodec.pages import notebook
@@ -231,26 +230,8 @@ def test_save(tmp_path: Path) -> None:
     assert sorted(file.name for file in tmp_path.iterdir()) == ["again.c3gs", "scene.c3gs"]
 
 
-def test_export_of_a_static_scene(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """It has the bytes of the command's files."""
-    static = TRAINED.with_name("static-degree-2.c3gs")
-    outputs = [tmp_path / f"a.{suffix}" for suffix in ("ply", "spz", "glb")]
-    scene = refcodec.decode(static)
-    written = api.export(scene, outputs).values["splats"]
-    assert all(np.array_equal(values, getattr(scene.splats, name)) for name, values in vars(written).items())
-    assert main(["export", str(static), *(f"-o{path.with_stem('b')}" for path in outputs)]) == 0
-    for path in outputs:
-        assert path.read_bytes() == path.with_stem("b").read_bytes()
-    # Nothing is written if an output has no format.
-    with pytest.raises(UsageError, match=r"allowed are \.ply, \.spz, \.sog, \.glb"):
-        api.export(scene, [tmp_path / "c.ply", tmp_path / "c.obj"])
-    assert not (tmp_path / "c.ply").exists()
-
-
-def test_export_of_another_scene(
-    scene: refcodec.Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """One fit makes all outputs, the same as those of the command."""
+def test_export_of_another_scene(scene: refcodec.Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One fit makes all outputs. tests/cli/test_export.py has its files, and those of a static scene."""
     pytest.importorskip("numba")
     from refcodec.export import fit, views  # noqa: PLC0415
 
@@ -260,11 +241,8 @@ def test_export_of_another_scene(
     monkeypatch.setattr(views, "SIDE", 32)
     outputs = [tmp_path / "a.ply", tmp_path / "a.glb"]
     splats = api.export(scene, outputs, degree=1, iterations=0).values["splats"]
-    assert len(fits) == 1
+    assert (len(fits), [path.exists() for path in outputs]) == (1, [True, True])
     assert (splats.degree, splats.mean.flags.writeable) == (1, False)
-    words = ["export", str(TRAINED), "-o", str(tmp_path / "b.ply"), "--degree", "1", "--iterations", "0"]
-    assert main(words) == 0
-    assert outputs[0].read_bytes() == (tmp_path / "b.ply").read_bytes()
     # Without outputs it returns the Gaussians only.
     seen = api.export(scene, [], degree=0, iterations=0, cameras=[scene.camera]).values["splats"]
     assert 0 < len(seen.mean) <= scene.masks.sum()
@@ -328,13 +306,14 @@ def test_values_have_the_stated_shapes(scene: refcodec.Scene) -> None:
     assert repr(scene) == f"<refcodec.Scene: {n:,} anchors, {scene.masks.sum():,} of {n * k:,} offsets kept>"
 
 
-def test_plain_gaussians_of_a_static_scene() -> None:
-    """They are the same from a path, from bytes and from a scene, and cannot be changed."""
+def test_plain_gaussians_of_a_static_scene(tmp_path: Path) -> None:
+    """They are the same from a path, from bytes, from a scene and from its export, and cannot be changed."""
     static = TRAINED.with_name("static-degree-2.c3gs")
     scene = refcodec.decode(static)
     n = int(scene.masks.sum())
     shapes = {"mean": (n, 3), "base": (n, 3), "rest": (n, 8, 3), "opacity": (n,), "scale": (n, 3), "quaternion": (n, 4)}
-    for splats in (refcodec.splats(static), refcodec.splats(static.read_bytes()), scene.splats):
+    exported = api.export(scene, [tmp_path / f"a.{suffix}" for suffix in ("ply", "spz", "glb")]).values["splats"]
+    for splats in (refcodec.splats(static), refcodec.splats(static.read_bytes()), scene.splats, exported):
         assert isinstance(splats, refcodec.Splats)
         assert splats.degree == 2
         assert list(vars(splats)) == list(shapes)
@@ -367,25 +346,15 @@ def test_a_folder_comes_back_as_it_was(scene: refcodec.Scene, tmp_path: Path) ->
         refcodec.Scene.read(tmp_path)
 
 
-class _Counting:
+class _Counting(io.FileIO):
     """A file on a disk that notes how many bytes are read of it."""
 
-    def __init__(self, path: Path) -> None:
-        self._file, self.read_bytes = open(path, "rb"), 0  # noqa: SIM115
+    read_bytes = 0
 
-    def read(self, size: int = -1) -> bytes:
-        block = self._file.read(size)
+    def read(self, size: int | None = -1) -> bytes:
+        block = super().read(size)
         self.read_bytes += len(block)
         return block
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._file, name)
-
-    def __enter__(self) -> _Counting:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._file.close()
 
 
 def test_an_open_file_reads_what_is_asked_for(monkeypatch: pytest.MonkeyPatch, scene: refcodec.Scene) -> None:
