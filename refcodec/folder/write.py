@@ -255,14 +255,9 @@ def _coding_document(scene: Scene) -> dict[str, Any]:
     coding: dict[str, Any] = {}
     if model := scene.position_model:
         coding["position_model"] = {"cell_shift": model.cell_shift, "frequency": model.frequency.tolist()}
-    if scene.weight_scales is not None:
-        coding["weight_scales"] = scene.weight_scales.tolist()
-    if scene.chunk_anchors is not None:
-        coding["chunk_anchors"] = list(scene.chunk_anchors)
-    if scene.position_forms is not None:
-        coding["position_forms"] = list(scene.position_forms)
-    if scene.weight_forms is not None:
-        coding["weight_forms"] = scene.weight_forms.tolist()
+    for name in ("weight_scales", "chunk_anchors", "position_forms", "weight_forms"):
+        if (value := getattr(scene, name)) is not None:
+            coding[name] = np.asarray(value).tolist()
     if scene.minor or scene.later:
         coding |= {"minor": scene.minor, "later": list(scene.later)}
     return coding

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from plyfile import PlyData, PlyElement
+from plyfile import PlyData
 from random_scenes import random_scene
 from safetensors.numpy import load_file, save
 
@@ -26,7 +26,6 @@ from refcodec.bitstream.source import Arriving, FileBytes, StoredFile, WholeFile
 from refcodec.bitstream.streaming import decoded_chunks
 from refcodec.folder import write
 from refcodec.folder.arrays import RowsFile
-from refcodec.folder.ply import CloudFile, ply_properties, ply_values
 from refcodec.folder.read import read_folder
 from refcodec.folder.write import Written, decode_folder, write_folder
 
@@ -84,28 +83,6 @@ def test_arrays_in_place_are_what_the_package_writes(rows: int) -> None:
     for first in range(0, rows, 4):
         file.add({name: array[first : first + 4] for name, array in arrays.items()})
     assert made.getvalue() == save(arrays)
-
-
-@pytest.mark.parametrize("count", [0, 1, 13])
-def test_a_point_cloud_in_blocks_is_what_the_package_writes(count: int) -> None:
-    scene = random_scene(5, count)
-    values = reconstruct(scene)
-    made = io.BytesIO()
-    cloud = CloudFile(made, count, scene.dimensions.offset_count, scene.dimensions.features)
-    for first in range(0, count, 5):
-        block = take_anchors(scene, slice(first, first + 5))
-        cloud.add(reconstruct(block), block.masks)
-    columns = ply_values(values, scene.masks)
-    table = np.zeros(count, [(name, "<f4") for name in ply_properties(2, scene.dimensions.features)])
-    table["rot_0"] = 1
-    for i, name in enumerate("xyz"):
-        table[name] = columns["xyz"][:, i]
-    for stem in ("f_offset_", "f_mask_", "f_anchor_feat_", "scale_"):
-        for i, column in enumerate(columns[stem].T):
-            table[f"{stem}{i}"] = column
-    wanted = io.BytesIO()
-    PlyData([PlyElement.describe(table, "vertex")], byte_order="<").write(wanted)
-    assert made.getvalue() == wanted.getvalue()
 
 
 # --- whole files ------------------------------------------------------------------------------------------------------
