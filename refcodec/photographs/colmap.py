@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 import stat
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -54,16 +54,8 @@ SMALLEST = {"cameras": CAMERA_HEAD.size, "images": IMAGE_HEAD.size + 1 + 8, "poi
 # A line of images.txt has all 2D points of an image.
 LINE_MAX = 1 << 26
 RERUN = "the file is damaged or incomplete: export the model again (colmap model_converter)"
-
-
-@dataclass(frozen=True, eq=False)
-class _Lens:
-    """A row of cameras: numbers of pixels, intrinsics, distortion."""
-
-    width: int
-    height: int
-    intrinsics: tuple[float, float, float, float]
-    distortion: Distortion
+# The rows of cameras: cameras without names and poses, and their distortions, by number.
+_Lenses = dict[int, tuple[Camera, Distortion]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,9 +132,8 @@ def read_points(file: Path) -> tuple[F64, U8]:
     return _text_points(file) if file.suffix == ".txt" else _binary_points(file)
 
 
-def _shot(cameras: Path, pose: _Pose, lenses: dict[int, _Lens]) -> Shot:
-    lens = lenses.get(pose.camera)
-    if lens is None:
+def _shot(cameras: Path, pose: _Pose, lenses: _Lenses) -> Shot:
+    if pose.camera not in lenses:
         raise PhotographError(pose.where, f"camera {pose.camera} is not in {cameras.name}", "export the model again")
     parts = PurePosixPath(pose.name).parts
     if not parts or ".." in parts or pose.name.startswith("/"):
@@ -153,8 +144,9 @@ def _shot(cameras: Path, pose: _Pose, lenses: dict[int, _Lens]) -> Shot:
         )
     rotation = quaternion_rotation(pose.where, pose.quaternion)
     check_pose(pose.where, pose.translation)
-    camera = Camera(pose.name, lens.width, lens.height, *lens.intrinsics, rotation, pose.translation)
-    return Shot(Path(pose.name), camera, lens.distortion)
+    camera, distortion = lenses[pose.camera]
+    camera = replace(camera, name=pose.name, rotation=rotation, translation=pose.translation)
+    return Shot(Path(pose.name), camera, distortion)
 
 
 def _image_folder(folder: Path, shots: list[Shot], size: Size) -> Path:
@@ -178,13 +170,18 @@ def _image_folder(folder: Path, shots: list[Shot], size: Size) -> Path:
     return folders[0]
 
 
-def _lens(where: str, model: str, width: int, height: int, parameters: list[float]) -> _Lens:
+def _add_lens(
+    out: _Lenses, where: str, identifier: int, model: str, width: int, height: int, parameters: Sequence[float]
+) -> None:
     count, make = MODELS[model]
     if len(parameters) != count:
         raise PhotographError(where, f"it has {len(parameters)} parameters, but {model} has {count}", RERUN)
     intrinsics, distortion = make(*parameters)
-    check_intrinsics(where, Camera("", width, height, *intrinsics, np.eye(3), np.zeros(3)), distortion)
-    return _Lens(width, height, intrinsics, distortion)
+    camera = Camera("", width, height, *intrinsics, np.eye(3), np.zeros(3))
+    check_intrinsics(where, camera, distortion)
+    if identifier in out:
+        raise PhotographError(where, f"camera {identifier} is defined twice", RERUN)
+    out[identifier] = camera, distortion
 
 
 def _supported(where: str, model: str) -> None:
@@ -230,17 +227,15 @@ def _numbers(where: str, form: str) -> Iterator[None]:
         raise PhotographError(where, f"the line is not of the form {form} ({error})", RERUN) from None
 
 
-def _text_cameras(file: Path) -> dict[int, _Lens]:
-    out: dict[int, _Lens] = {}
+def _text_cameras(file: Path) -> _Lenses:
+    out: _Lenses = {}
     for where, line in _lines(file):
         if not line:
             continue
         with _numbers(where, "CAMERA_ID MODEL WIDTH HEIGHT PARAMETERS"):
             identifier, model, width, height, *parameters = line.split()
             _supported(where, model)
-            lens = _lens(where, model, int(width), int(height), [float(p) for p in parameters])
-            if out.setdefault(int(identifier), lens) is not lens:
-                raise PhotographError(where, f"camera {int(identifier)} is defined twice", RERUN)
+            _add_lens(out, where, int(identifier), model, int(width), int(height), [float(p) for p in parameters])
     return out
 
 
@@ -328,17 +323,16 @@ class _Bytes:
             raise PhotographError(self.file, f"{len(self.data) - self.at} bytes follow its {count} {part}", RERUN)
 
 
-def _binary_cameras(file: Path) -> dict[int, _Lens]:
-    out: dict[int, _Lens] = {}
+def _binary_cameras(file: Path) -> _Lenses:
+    out: _Lenses = {}
     data = _Bytes(file)
     for what in data.records("cameras"):
         identifier, model_id, width, height = data.take(CAMERA_HEAD, what)
         where = f"{file}, {what}"
         model = MODEL_IDS[model_id] if 0 <= model_id < len(MODEL_IDS) else f"number {model_id}"
         _supported(where, model)
-        lens = _lens(where, model, width, height, list(data.take(struct.Struct(f"<{MODELS[model][0]}d"), what)))
-        if out.setdefault(identifier, lens) is not lens:
-            raise PhotographError(where, f"camera {identifier} is defined twice", RERUN)
+        parameters = data.take(struct.Struct(f"<{MODELS[model][0]}d"), what)
+        _add_lens(out, where, identifier, model, width, height, parameters)
     return out
 
 

@@ -75,11 +75,8 @@ def wanted_size(where: Path | str, width: int, height: int, size: Size) -> tuple
         return width, height
     if isinstance(size, int):
         longer = max(width, height)
-        return (
-            (width, height)
-            if size >= longer
-            else (max(1, round(width * size / longer)), max(1, round(height * size / longer)))
-        )
+        size = min(size, longer)
+        return max(1, round(width * size / longer)), max(1, round(height * size / longer))
     if size[0] > width or size[1] > height:
         raise PhotographError(
             where,
