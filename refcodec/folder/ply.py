@@ -22,6 +22,8 @@ from .layout import MASK_LOGIT_MIN, SceneFolderError, there
 if TYPE_CHECKING:
     from ..encoder.cloud import AnchorCloud
 
+EXPORT, LAYOUT = "export the point cloud again", "give a point_cloud.ply in the layout of Scaffold-GS"
+
 
 def ply_properties(offset_count: int, features: int) -> list[str]:
     """Returns the property names of a Scaffold-GS point cloud with masks, in file order."""
@@ -93,13 +95,9 @@ class PlyColumns:
         try:
             self.data = read_ply(file)["vertex"]
         except KeyError:
-            raise SceneFolderError(
-                file, "it has no vertices", "give a point cloud in the layout of Scaffold-GS"
-            ) from None
+            raise SceneFolderError(file, "it has no vertices", LAYOUT) from None
         except (PlyError, OSError) as error:
-            raise SceneFolderError(
-                file, f"it is not a readable PLY file ({error})", "export the point cloud again"
-            ) from None
+            raise SceneFolderError(file, f"it is not a readable PLY file ({error})", EXPORT) from None
         self.count = len(self.data)
 
     def names(self, stem: str) -> list[str]:
@@ -113,10 +111,13 @@ class PlyColumns:
         numbered = [name for name in known if re.fullmatch(re.escape(stem) + r"\d+", name)]
         numbered.sort(key=lambda name: int(name[len(stem) :]))
         if [name[len(stem) :] for name in numbered] != [str(i) for i in range(len(numbered))]:
-            raise SceneFolderError(
-                self.file, f"the properties {stem}* are not numbered from 0", "export the point cloud again"
-            )
+            raise SceneFolderError(self.file, f"the properties {stem}* are not numbered from 0", EXPORT)
         return numbered
+
+    def check_number(self, stem: str, names: Sequence[str], wanted: int, advice: str) -> None:
+        """Raises SceneFolderError, with a remedy, unless a stem has the wanted number of properties."""
+        if len(names) != wanted:
+            raise SceneFolderError(self.file, f"it has {len(names)} properties {stem}*, but must have {wanted}", advice)
 
     def array(self, names: Sequence[str]) -> NDArray[np.float32]:
         """Returns some properties as float32 [N, columns]."""
@@ -138,29 +139,20 @@ def read_cloud(path: str | Path) -> AnchorCloud:
     from ..encoder.cloud import AnchorCloud
 
     file = Path(path)
-    if not there(file, "give a point_cloud.ply in the layout of Scaffold-GS"):
-        raise SceneFolderError(file, "there is no such file", "give a point_cloud.ply in the layout of Scaffold-GS")
+    if not there(file, LAYOUT):
+        raise SceneFolderError(file, "there is no such file", LAYOUT)
     columns = PlyColumns(file)
-    advice = "give a point_cloud.ply in the layout of Scaffold-GS"
     names = {stem: columns.names(stem) for stem in ("xyz", "f_offset_", "f_mask_", "f_anchor_feat_", "scale_")}
     count = len(names["f_offset_"]) // 3
-    for stem, wanted in (("xyz", 3), ("f_offset_", 3 * max(count, 1)), ("scale_", SCALINGS)):
-        if len(names[stem]) != wanted:
-            raise SceneFolderError(
-                file, f"it has {len(names[stem])} properties {stem}*, but must have {wanted}", advice
-            )
-    if len(names["f_mask_"]) not in (0, count):
-        raise SceneFolderError(
-            file, f"it has {len(names['f_mask_'])} properties f_mask_*, but must have {count}", advice
-        )
+    wanted = {"xyz": 3, "f_offset_": 3 * max(count, 1), "scale_": SCALINGS, "f_mask_": count if names["f_mask_"] else 0}
+    for stem, number in wanted.items():
+        columns.check_number(stem, names[stem], number, LAYOUT)
     if not names["f_anchor_feat_"]:
-        raise SceneFolderError(file, "it has no properties f_anchor_feat_*", advice)
+        raise SceneFolderError(file, "it has no properties f_anchor_feat_*", LAYOUT)
     arrays = {stem: columns.array(n) for stem, n in names.items()}
     for stem, array in arrays.items():
         if not np.isfinite(array).all():
-            raise SceneFolderError(
-                file, f"a value of {stem} is NaN or infinite", "remove that anchor, or export the point cloud again"
-            )
+            raise SceneFolderError(file, f"a value of {stem} is NaN or infinite", f"remove that anchor, or {EXPORT}")
     mask = arrays["f_mask_"]
     binary = bool(((mask == 0) | (mask == 1)).all())
     return AnchorCloud(

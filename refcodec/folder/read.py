@@ -237,18 +237,14 @@ def _compare_ply(scene: Scene, path: Path) -> None:
     advice = f"to encode {PLY_FILE} as it is now, delete {CODED_FILE}; to undo the change, decode again"
     columns = PlyColumns(file)
     if columns.count != scene.anchor_count:
-        raise SceneFolderError(
-            file, f"it has {columns.count} anchors, but {CODED_FILE} has {scene.anchor_count}", advice
-        )
+        problem = f"it has {columns.count} anchors, but {CODED_FILE} has {scene.anchor_count}"
+        raise SceneFolderError(file, problem, advice)
     for stem, wanted in ply_values(reconstruct(scene), scene.masks).items():
         names = columns.names(stem)
         if not names and stem == "f_mask_":
             values = np.ones_like(wanted)
-        elif len(names) != wanted.shape[1]:
-            raise SceneFolderError(
-                file, f"it has {len(names)} properties {stem}*, but must have {wanted.shape[1]}", advice
-            )
         else:
+            columns.check_number(stem, names, wanted.shape[1], advice)
             values = columns.array(names)
         differs = values.view(np.uint32) != np.ascontiguousarray(wanted).view(np.uint32)
         if differs.any():

@@ -84,33 +84,25 @@ def read_colmap(folder: Path, model: Path, size: Size) -> tuple[list[Shot], F64,
     on, the smallest of these with enough pixels for the size. Raises PhotographError.
     """
     suffix = ".bin" if any(there(model / f"{part}.bin") for part in PARTS) else ".txt"
-    for part in PARTS:
-        if not there(model / f"{part}{suffix}"):
-            raise PhotographError(
-                model / f"{part}{suffix}",
-                "the file is missing",
-                f"a model is {', '.join(f'{p}{suffix}' for p in PARTS)} together: "
-                "export it again (colmap model_converter)",
-            )
-    binary = suffix == ".bin"
-    lenses = (_binary_cameras if binary else _text_cameras)(model / f"cameras{suffix}")
-    poses = (_binary_images if binary else _text_images)(model / f"images{suffix}")
-    points, colours = (_binary_points if binary else _text_points)(model / f"points3D{suffix}")
+    files = [model / f"{part}{suffix}" for part in PARTS]
+    for file in files:
+        if not there(file):
+            advice = f"a model is {', '.join(f.name for f in files)} together: export it again (colmap model_converter)"
+            raise PhotographError(file, "the file is missing", advice)
+    binary, (cameras_file, images_file, points_file) = suffix == ".bin", files
+    lenses = (_binary_cameras if binary else _text_cameras)(cameras_file)
+    poses = (_binary_images if binary else _text_images)(images_file)
+    points, colours = read_points(points_file)
     if not poses:
-        raise PhotographError(
-            model / f"images{suffix}", "no image has a pose", "reconstruct again until images are registered"
-        )
+        raise PhotographError(images_file, "no image has a pose", "reconstruct again until images are registered")
     if not len(points):
-        raise PhotographError(
-            model / f"points3D{suffix}", "there are no points", "triangulate some (colmap point_triangulator)"
-        )
-    shots = [_shot(model / f"cameras{suffix}", pose, lenses) for pose in sorted(poses, key=lambda p: p.name)]
+        raise PhotographError(points_file, "there are no points", "triangulate some (colmap point_triangulator)")
+    shots = [_shot(cameras_file, pose, lenses) for pose in sorted(poses, key=lambda p: p.name)]
     names = {shot.camera.name for shot in shots}
     if len(names) < len(shots):
         twice = next(a.camera.name for a, b in pairwise(shots) if a.camera.name == b.camera.name)
-        raise PhotographError(
-            model / f"images{suffix}", f"two images are named {twice!r}", "names must differ: export the model again"
-        )
+        advice = "names must differ: export the model again"
+        raise PhotographError(images_file, f"two images are named {twice!r}", advice)
     images = _image_folder(folder, shots, size)
     missing = [name for shot in shots if not (images / (name := shot.camera.name)).is_file()]
     if missing:
@@ -285,9 +277,12 @@ class _Bytes:
     def __init__(self, file: Path) -> None:
         self.file, self.data, self.at = file, file.read_bytes(), 0
 
+    def fault(self, problem: str) -> PhotographError:
+        return PhotographError(self.file, problem, RERUN)
+
     def need(self, size: int, what: str) -> None:
         if size > len(self.data) - self.at:
-            raise PhotographError(self.file, f"it ends inside {what}, at byte {len(self.data)}", RERUN)
+            raise self.fault(f"it ends inside {what}, at byte {len(self.data)}")
 
     def take(self, form: struct.Struct, what: str) -> tuple[Any, ...]:
         self.need(form.size, what)
@@ -302,25 +297,23 @@ class _Bytes:
     def name(self, what: str) -> str:
         end = self.data.find(b"\0", self.at)
         if end < 0:
-            raise PhotographError(self.file, f"it ends inside {what}, at byte {len(self.data)}", RERUN)
+            raise self.fault(f"it ends inside {what}, at byte {len(self.data)}")
         raw, self.at = self.data[self.at : end], end + 1
         try:
             return raw.decode()
         except UnicodeDecodeError:
-            raise PhotographError(self.file, f"the name in {what} is not UTF-8", RERUN) from None
+            raise self.fault(f"the name in {what} is not UTF-8") from None
 
     def records(self, part: str) -> Iterator[str]:
         """Yields a description of each record, which the caller then reads. Checks the count, and the end."""
         (count,) = self.take(struct.Struct("<Q"), "the count")
         most = (len(self.data) - self.at) // SMALLEST[part]
         if count > most:
-            raise PhotographError(
-                self.file, f"it states {count} {part}, its {len(self.data)} bytes hold at most {most}", RERUN
-            )
+            raise self.fault(f"it states {count} {part}, its {len(self.data)} bytes hold at most {most}")
         for index in range(count):
             yield f"record {index} of {count}"
         if self.at != len(self.data):
-            raise PhotographError(self.file, f"{len(self.data) - self.at} bytes follow its {count} {part}", RERUN)
+            raise self.fault(f"{len(self.data) - self.at} bytes follow its {count} {part}")
 
 
 def _binary_cameras(file: Path) -> _Lenses:

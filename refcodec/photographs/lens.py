@@ -88,25 +88,18 @@ def undistorted_camera(where: Path | str, camera: Camera, distortion: Distortion
     low = np.array([inside(zero, edge, 0).max(), inside(edge, zero, 1).max()])
     high = np.array([inside(one, edge, 0).min(), inside(edge, one, 1).min()])
     zoom = float(((high - low) * focal / size).min())
+    problem = f"the distortion k1, k2, p1, p2 = {', '.join(f'{v:g}' for v in distortion)} "
     advice = "check the coefficients, or undistort the images beforehand (colmap image_undistorter)"
     if not ZOOM_MIN <= zoom <= ZOOM_MAX:
-        raise PhotographError(
-            where,
-            f"the distortion k1, k2, p1, p2 = {', '.join(f'{v:g}' for v in distortion)} cannot be undone over the "
-            f"whole image, or changes the field of view more than {ZOOM_MIN:g} to {ZOOM_MAX:g} times",
-            advice,
-        )
+        problem += "cannot be undone over the whole image, or changes the field of view more than"
+        raise PhotographError(where, f"{problem} {ZOOM_MIN:g} to {ZOOM_MAX:g} times", advice)
     focal = focal / zoom
     principal = size / 2 - focal * (low + high) / 2
     grid = np.stack(np.meshgrid(*(np.linspace(0, side, GRID_POINTS) for side in size)), axis=2).reshape(-1, 2)
     plane = (grid - principal) / focal
     a, b, d = _slopes(plane, distortion)
     if not (a * d - b * b > 0).all():
-        raise PhotographError(
-            where,
-            f"the distortion k1, k2, p1, p2 = {', '.join(f'{v:g}' for v in distortion)} folds the image over itself",
-            advice,
-        )
+        raise PhotographError(where, f"{problem}folds the image over itself", advice)
     fx, fy = focal.tolist()
     cx, cy = principal.tolist()
     return replace(camera, fx=fx, fy=fy, cx=cx, cy=cy)
