@@ -279,11 +279,8 @@ def _requantise(bare: Scene, path: Path) -> Scene:
         ("features", cloud.features.shape[1], d.features),
     ):
         if count != wanted:
-            raise SceneFolderError(
-                file,
-                f"its anchors have {count} {name}, but {SCENE_FILE} states {wanted}",
-                "use the point cloud that the networks fit",
-            )
+            problem = f"its anchors have {count} {name}, but {SCENE_FILE} states {wanted}"
+            raise SceneFolderError(file, problem, "use the point cloud that the networks fit")
     try:
         scene = quantise(
             cloud,
@@ -301,9 +298,6 @@ def _requantise(bare: Scene, path: Path) -> Scene:
             chunk_size=bare.chunk_size,
         )
     except ValueError as error:
-        raise SceneFolderError(
-            file,
-            f"it cannot be quantised ({error})",
-            f"correct the values, or the grid and steps in {SCENE_FILE}",
-        ) from None
+        problem = f"it cannot be quantised ({error})"
+        raise SceneFolderError(file, problem, f"correct the values, or the grid and steps in {SCENE_FILE}") from None
     return replace(scene, ancillary=bare.ancillary)

@@ -104,11 +104,8 @@ def checked_rotation(where: Path | str, matrix: F64) -> F64:
         lengths = ", ".join(f"{v:.4g}" for v in np.linalg.norm(matrix, axis=1))
         determinant = np.linalg.det(matrix)
     if not right or not determinant > 0:
-        raise PhotographError(
-            where,
-            f"the pose's matrix is not a rotation (rows of length {lengths}, determinant {determinant:.4g})",
-            "give poses without scale, shear or mirroring",
-        )
+        problem = f"the pose's matrix is not a rotation (rows of length {lengths}, determinant {determinant:.4g})"
+        raise PhotographError(where, problem, "give poses without scale, shear or mirroring")
     u, _, v = np.linalg.svd(matrix)
     return np.asarray(u @ v, np.float64)
 

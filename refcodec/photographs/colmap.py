@@ -106,11 +106,8 @@ def read_colmap(folder: Path, model: Path, size: Size) -> tuple[list[Shot], F64,
     images = _image_folder(folder, shots, size)
     missing = [name for shot in shots if not (images / (name := shot.camera.name)).is_file()]
     if missing:
-        raise PhotographError(
-            images / missing[0],
-            f"the image is missing ({len(missing)} of the {len(shots)} images with a pose are missing)",
-            "restore it, or remove its pose from the model",
-        )
+        problem = f"the image is missing ({len(missing)} of the {len(shots)} images with a pose are missing)"
+        raise PhotographError(images / missing[0], problem, "restore it, or remove its pose from the model")
     pictures = (p for p in images.rglob("*") if p.suffix.lower() in IMAGE_SUFFIXES and p.is_file())
     skipped = sum(p.relative_to(images).as_posix() not in names for p in pictures)
     return [replace(shot, path=images / shot.camera.name) for shot in shots], points, colours, skipped
@@ -129,11 +126,8 @@ def _shot(cameras: Path, pose: _Pose, lenses: _Lenses) -> Shot:
         raise PhotographError(pose.where, f"camera {pose.camera} is not in {cameras.name}", "export the model again")
     parts = PurePosixPath(pose.name).parts
     if not parts or ".." in parts or pose.name.startswith("/"):
-        raise PhotographError(
-            pose.where,
-            f"the name {pose.name!r} does not name a file in the image folder",
-            "use names relative to the image folder",
-        )
+        problem = f"the name {pose.name!r} does not name a file in the image folder"
+        raise PhotographError(pose.where, problem, "use names relative to the image folder")
     rotation = quaternion_rotation(pose.where, pose.quaternion)
     check_pose(pose.where, pose.translation)
     camera, distortion = lenses[pose.camera]
@@ -247,11 +241,8 @@ def _text_images(file: Path) -> list[_Pose]:
         # line were missing, every second image would be lost silently.
         below, points = next(lines, (where, ""))
         if len(points.split()) % 3:
-            raise PhotographError(
-                below,
-                "the line after an image must hold its 2D points as X Y POINT3D_ID",
-                "give every image a second line, which may be empty",
-            )
+            problem = "the line after an image must hold its 2D points as X Y POINT3D_ID"
+            raise PhotographError(below, problem, "give every image a second line, which may be empty")
     return out
 
 

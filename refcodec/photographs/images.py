@@ -52,11 +52,8 @@ def parse_background(text: str) -> tuple[int, int, int] | None:
         return None
     match = re.fullmatch(r"([0-9]{1,3}),([0-9]{1,3}),([0-9]{1,3})", text, re.ASCII)
     if not match or max(map(int, match.groups())) > 255:
-        raise PhotographError(
-            f"background {text!r}",
-            "it is not white, black or R,G,B from 0 to 255",
-            "use for example white, or 255,128,0",
-        )
+        problem = "it is not white, black or R,G,B from 0 to 255"
+        raise PhotographError(f"background {text!r}", problem, "use for example white, or 255,128,0")
     red, green, blue = map(int, match.groups())
     return red, green, blue
 
@@ -104,21 +101,15 @@ def _opened(path: Path) -> Iterator[Image.Image]:
         with opened as image:
             width, height = image.size
             if width * height > PIXELS_MAX:
-                raise PhotographError(
-                    path,
-                    f"the image has {width} x {height} pixels, but at most {PIXELS_MAX} are allowed",
-                    "export it again with fewer pixels",
-                )
+                problem = f"the image has {width} x {height} pixels, but at most {PIXELS_MAX} are allowed"
+                raise PhotographError(path, problem, "export it again with fewer pixels")
             yield image
     except (PhotographError, MemoryError):
         raise
     # Pillow's readers raise many types for bad bytes.
     except Exception as error:
-        raise PhotographError(
-            path,
-            f"it is not a readable image ({error}); the supported formats are {', '.join(FORMATS)}",
-            "export or copy the image again",
-        ) from None
+        problem = f"it is not a readable image ({error}); the supported formats are {', '.join(FORMATS)}"
+        raise PhotographError(path, problem, "export or copy the image again") from None
 
 
 def image_size(path: Path) -> tuple[int, int]:
@@ -137,11 +128,8 @@ def read_image(path: Path, background: tuple[int, int, int]) -> U8:
     """
     with _opened(path) as image:
         if image.mode not in EIGHT_BITS:
-            raise PhotographError(
-                path,
-                f"its pixel format is {image.mode}, but must have 8 bits per channel",
-                "convert it to 8 bits",
-            )
+            problem = f"its pixel format is {image.mode}, but must have 8 bits per channel"
+            raise PhotographError(path, problem, "convert it to 8 bits")
         image.load()
         if image.has_transparency_data:
             pixels = np.asarray(image.convert("RGBA"), np.float32)
