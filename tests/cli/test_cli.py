@@ -374,20 +374,12 @@ def test_keep_going_with_other_damages(file: Path, data: bytes, call: Call) -> N
 
 # --- signals and pipes ------------------------------------------------------------------------------------------------
 
-# A shell starts what runs in the background with the signal ignored.
-PROGRAM = """
-import signal
-from refcodec.cli.main import main
-signal.signal(signal.SIGINT, signal.default_int_handler)
-exit(main())
-"""
-
 
 def test_interrupt(tmp_path: Path) -> None:
     """Ctrl-C while a named pipe keeps the reader waiting."""
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
-    process = subprocess.Popen([sys.executable, "-c", PROGRAM, "validate", pipe], stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen([sys.executable, "-m", "refcodec", "validate", pipe], stderr=subprocess.PIPE, text=True)
     with pipe.open("wb") as writer:
         writer.write(b"\x89C3G")
         writer.flush()

@@ -86,21 +86,12 @@ def test_a_client_that_goes_away(sent: bytes, server: Server, capsys: pytest.Cap
     assert "ZeroDivisionError" in capsys.readouterr().err
 
 
-# A process that was started in the background ignores Ctrl-C, and so do those that it starts.
-COMMAND = """
-import signal, sys
-signal.signal(signal.SIGINT, signal.default_int_handler)
-from refcodec.cli.main import main
-sys.exit(main(sys.argv[1:]))
-"""
-
-
 @pytest.fixture
 def viewed(trained: Path, tmp_path: Path) -> Iterator[tuple[str, Path, subprocess.Popen[str]]]:
     """The address that `refcodec view` says, the file, and its process."""
     file = tmp_path / "scene.c3gs"
     shutil.copy(trained, file)
-    command = [sys.executable, "-c", COMMAND, "view", str(file), "--no-browser"]
+    command = [sys.executable, "-m", "refcodec", "view", str(file), "--no-browser"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         match = re.match(r"(http://127\.0\.0\.1:\d+/) shows ", process.stdout.readline())
@@ -183,7 +174,7 @@ def test_a_browser_that_waits_for_the_page(trained: Path, tmp_path: Path) -> Non
         f"open({str(fetched)!r}, 'wb').write(page)\n"
     )
     environment = os.environ | {"BROWSER": f"{sys.executable} {program} %s"}
-    command = [sys.executable, "-c", COMMAND, "view", str(trained)]
+    command = [sys.executable, "-m", "refcodec", "view", str(trained)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, env=environment, text=True) as process:
         try:
             end = time.monotonic() + 60

@@ -62,6 +62,17 @@ def _write(folder: Path, data: bytes, name: str = "scene.c3gs") -> Path:
     return path
 
 
+def _key(browser: Chromium, letter: str, *kinds: str) -> None:
+    """Presses and releases a key, or one of the two."""
+    for kind in kinds or ("keyDown", "keyUp"):
+        browser.ask("Input.dispatchKeyEvent", {"type": kind, "code": f"Key{letter}", "key": letter.lower()})
+
+
+def _drag(browser: Chromium, start: int, end: int, y: int) -> None:
+    for kind, x in (("mousePressed", start), ("mouseMoved", end), ("mouseReleased", end)):
+        browser.ask("Input.dispatchMouseEvent", {"type": kind, "x": x, "y": y, "button": "left", "buttons": 1})
+
+
 @pytest.fixture(scope="module")
 def exported(
     trained: Path, photographs: Path, tmp_path_factory: pytest.TempPathFactory
@@ -120,8 +131,7 @@ def test_photographs_lie_over_the_scene(browser: Chromium, exported: tuple[Path,
     )
     browser.until("document.querySelector('#photograph img').style.clipPath.includes('25%')")
     # The camera moves, so that the photograph is no more that of the view.
-    for kind, x in (("mousePressed", 300), ("mouseMoved", 330), ("mouseReleased", 330)):
-        browser.ask("Input.dispatchMouseEvent", {"type": kind, "x": x, "y": 100, "button": "left", "buttons": 1})
+    _drag(browser, 300, 330, 100)
     browser.until("document.getElementById('slider').hidden")
 
 
@@ -246,12 +256,11 @@ def test_files_of_other_kinds(data: bytes, parts: list[str], browser: Chromium, 
     assert browser.run("globalThis.asked") == 1
 
 
-@pytest.mark.parametrize("name", ["empty", "tiny-example"])
-def test_small_files(name: str, browser: Chromium, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("name", "anchors"), [("valid/empty", 0), ("tiny-example", 5)])
+def test_small_files(name: str, anchors: int, browser: Chromium, tmp_path: Path) -> None:
     """A scene without anchors is an image of the background."""
-    path = ROOT / "vectors" / "tiny-example.c3gs" if name == "tiny-example" else VALID / f"{name}.c3gs"
-    _show(browser, tmp_path, path.read_bytes())
-    assert browser.run("c3gs.header.anchor_count") == len(parse(path.read_bytes()).scene.positions)
+    _show(browser, tmp_path, (ROOT / "vectors" / f"{name}.c3gs").read_bytes())
+    assert browser.run("c3gs.header.anchor_count") == anchors
 
 
 @pytest.mark.parametrize(("transfer", "shown"), [(13, [128, 64, 255]), (8, [188, 137, 255]), (99, [128, 64, 255])])
@@ -275,8 +284,7 @@ def test_it_moves(browser: Chromium, trained: Path, tmp_path: Path) -> None:
     """Dragging turns around the scene, keys fly, and R comes back."""
     _show(browser, tmp_path, trained.read_bytes())
     start = browser.run("c3gs.pose")
-    for kind, x in (("mousePressed", 300), ("mouseMoved", 360), ("mouseReleased", 360)):
-        browser.ask("Input.dispatchMouseEvent", {"type": kind, "x": x, "y": 200, "button": "left", "buttons": 1})
+    _drag(browser, 300, 360, 200)
     browser.run("c3gs.settle()")
     turned = browser.run("c3gs.pose")
     way = [np.subtract(turned["centre"], start["centre"]), np.array(turned["rotation"]).reshape(3, 3)]
@@ -284,17 +292,12 @@ def test_it_moves(browser: Chromium, trained: Path, tmp_path: Path) -> None:
     assert np.allclose(way[1] @ way[1].T, np.eye(3), atol=1e-9)
     points = [np.add(p["centre"], p["pivot"] * np.array(p["rotation"][6:])) for p in (start, turned)]
     assert np.allclose(*points, atol=1e-6)
-    browser.ask("Input.dispatchKeyEvent", {"type": "keyDown", "code": "KeyW", "key": "w"})
+    _key(browser, "W", "keyDown")
     browser.until(f"c3gs.pose.centre[2] !== {turned['centre'][2]}")
-    browser.ask("Input.dispatchKeyEvent", {"type": "keyUp", "code": "KeyW", "key": "w"})
-    browser.ask("Input.dispatchKeyEvent", {"type": "keyDown", "code": "KeyR", "key": "r"})
+    _key(browser, "W", "keyUp")
+    _key(browser, "R", "keyDown")
     browser.run("c3gs.settle()")
     assert browser.run("c3gs.pose") == start
-
-
-def _press(browser: Chromium, code: str, key: str) -> None:
-    for kind in ("keyDown", "keyUp"):
-        browser.ask("Input.dispatchKeyEvent", {"type": kind, "code": code, "key": key})
 
 
 def test_a_double_click(browser: Chromium, trained: Path, tmp_path: Path) -> None:
@@ -326,10 +329,10 @@ def test_the_tools(browser: Chromium, trained: Path, tmp_path: Path) -> None:
     start = browser.run("c3gs.pose")
     is_open = "document.getElementById('help').open"
     # While the help is open, keys do nothing else.
-    _press(browser, "KeyH", "h")
+    _key(browser, "H")
     assert browser.run(is_open)
     assert "save a picture" in _text(browser, "#help")
-    _press(browser, "KeyW", "w")
+    _key(browser, "W")
     assert browser.run("c3gs.pressed.size") == 0
     browser.run("document.querySelector('#help button').click()")
     assert not browser.run(is_open)
@@ -340,7 +343,7 @@ def test_the_tools(browser: Chromium, trained: Path, tmp_path: Path) -> None:
     browser.run("document.querySelector('[data-key=KeyR]').click(), c3gs.settle()")
     assert browser.run("c3gs.pose") == start
     browser.run("c3gs.canvas.focus()")
-    _press(browser, "KeyR", "r")
+    _key(browser, "R")
     assert browser.run("getComputedStyle(c3gs.canvas).outlineStyle") == "none"
     seen = "[...document.querySelectorAll('button, select, input, canvas')].filter((e) => e.checkVisibility())"
     named = f"{seen}.map((e) => e.ariaLabel ?? e.textContent.trim())"
@@ -382,11 +385,11 @@ def test_a_file_after_another(browser: Chromium, trained: Path, tmp_path: Path) 
     _show(browser, tmp_path, good)
     assert _edge(browser).std() > 1
     # A key is held meanwhile. Both begin before either has a worker.
-    browser.ask("Input.dispatchKeyEvent", {"type": "keyDown", "code": "KeyW", "key": "w"})
+    _key(browser, "W", "keyDown")
     first, last = (f"c3gs.open({{ input: {_input(data)}, name: '{len(data)}' }})" for data in (good, empty))
     browser.run(f"c3gs.code = undefined; c3gs.wasm = undefined; {first}; {last}")
     browser.until("c3gs.header !== undefined")
-    browser.ask("Input.dispatchKeyEvent", {"type": "keyUp", "code": "KeyW", "key": "w"})
+    _key(browser, "W", "keyUp")
     browser.run("c3gs.settle()")
     assert browser.run("[c3gs.name, c3gs.header.anchor_count]") == [str(len(empty)), 0]
     browser.run(f"c3gs.open({{ input: {_input(good)}, name: 'good' }})")
