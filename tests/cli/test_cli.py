@@ -26,15 +26,14 @@ from random_scenes import random_scene, without_chunks
 
 import refcodec
 from conformance.cases.checksums import Depth, lengthened, repair
-from conformance.cases.scenes import MAIN_DIMENSIONS, with_steps
+from conformance.cases.scenes import MAIN_DIMENSIONS, TINY_DIMENSIONS, with_steps
 from refcodec.bitstream import codec, directory
 from refcodec.bitstream.codec import parse_container
 from refcodec.bitstream.directory import DATA
 from refcodec.bitstream.errors import BitstreamError
-from refcodec.bitstream.header import RenderInfo
 from refcodec.bitstream.metadata import metadata
 from refcodec.bitstream.reader import Reader
-from refcodec.bitstream.reconstruction import Reconstruction, digest
+from refcodec.bitstream.reconstruction import digest, reconstruct
 from refcodec.bitstream.scene import Ancillary, Scene
 from refcodec.cli.main import main
 from refcodec.folder import places
@@ -515,15 +514,8 @@ def test_fit_takes_other_shapes_within_main(file: Path, call: Call) -> None:
         status, _, err = call("fit", "scene", "-o", "other", "--set", option)
         assert (status, option.partition("=")[0] in err) == (64, True)
 
-    def some(*shape: int) -> np.ndarray:
-        return np.zeros(shape, np.float32)
-
-    networks = {
-        name: [(some(6, 9), some(6)), (some(17 * each, 6), some(17 * each))]
-        for name, each in (("opacity", 1), ("covariance", 7), ("colour", 3))
-    }
-    values = Reconstruction(some(4, 3), some(4, 5), some(4, 6), some(4, 17, 3))
-    write_uncompressed(Uncompressed(values, np.ones((4, 17), bool), networks, RenderInfo()), Path("many"))
+    many = random_scene(1, 4, replace(TINY_DIMENSIONS, offset_count=17))
+    write_uncompressed(Uncompressed(reconstruct(many), many.masks, many.networks, many.render), Path("many"))
     status, _, err = call("fit", "many", "-o", "other")
     assert (status, "offset_count would be 17; allowed: in Main 1 to 16" in err) == (64, True)
     assert not Path("other").exists()

@@ -18,8 +18,11 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from random_scenes import random_scene
 from safetensors.numpy import load_file, save
 
+from refcodec.bitstream.cameras import NamedCamera
+from refcodec.bitstream.reconstruction import reconstruct
 from refcodec.cli.main import main
 from refcodec.files.documents import DocumentError, parse_toml
 from refcodec.files.ply import PlyError, check_ply_header
@@ -115,23 +118,9 @@ def test_changes_of_settings(capsys: Captured) -> None:
 @pytest.fixture(scope="module")
 def plain(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """An uncompressed scene of some anchors."""
-    from refcodec.bitstream.cameras import NamedCamera  # noqa: PLC0415
-    from refcodec.bitstream.header import RenderInfo  # noqa: PLC0415
-    from refcodec.bitstream.reconstruction import Reconstruction  # noqa: PLC0415
-
-    rng = np.random.default_rng(1)
-
-    def some(*shape: int) -> np.ndarray:
-        return rng.normal(size=shape).astype(np.float32)
-
-    networks = {
-        name: [(some(6, 9), some(6)), (some(outputs, 6), some(outputs))]
-        for name, outputs in (("opacity", 2), ("covariance", 14), ("colour", 6))
-    }
-    values = Reconstruction(some(4, 3), some(4, 5), some(4, 6), some(4, 2, 3))
-    folder = tmp_path_factory.mktemp("plain") / "scene"
+    scene, folder = random_scene(1, 4, keep=1), tmp_path_factory.mktemp("plain") / "scene"
     stated = (NamedCamera(), NamedCamera("1", translation=(1.0, 0.0, 0.0)))
-    write_uncompressed(Uncompressed(values, np.ones((4, 2), bool), networks, RenderInfo(), stated), folder)
+    write_uncompressed(Uncompressed(reconstruct(scene), scene.masks, scene.networks, scene.render, stated), folder)
     return folder
 
 
@@ -145,7 +134,7 @@ def test_an_uncompressed_scene_is_read(folder: Path) -> None:
     """Also an earlier folder, which has one camera."""
     scene, document = read_uncompressed(folder), json.loads((folder / "render.json").read_text())
     assert scene.anchor_count == 4
-    assert scene.networks["colour"][1][0].shape == (6, 6)
+    assert scene.networks["colour"][1][0].shape == (6, 3)
     assert [camera.name for camera in scene.cameras] == ["default", "1"]
     document["camera"] = document.pop("cameras")[1]
     (folder / "render.json").write_text(json.dumps(document))
