@@ -23,10 +23,10 @@ from conformance.cases.scenes import MAIN_DIMENSIONS
 from refcodec import UsageError, api
 from refcodec.api.command import words
 from refcodec.bitstream import codec
-from refcodec.bitstream.attributes import Attributes
 from refcodec.bitstream.bounds import PROGRAM, BoundPassedError, Limits, memory_needed, section_bytes
 from refcodec.bitstream.errors import BitstreamError
 from refcodec.bitstream.reader import Reader, decode_chunk
+from refcodec.bitstream.scene import take_anchors
 from refcodec.bitstream.source import Arriving, StoredFile, WholeFile
 from refcodec.files.remote import RemoteFile
 
@@ -192,16 +192,7 @@ def test_limits_that_are_none(name: str, value: Any) -> None:
 @pytest.mark.slow
 def test_the_estimate_is_one_to_two_times_what_is_measured(tmp_path: Path) -> None:
     scene = codec.parse((VECTORS / "valid" / "trained-snowmiku.c3gs").read_bytes()).scene
-    rows, a = np.resize(np.arange(scene.anchor_count), 40_000), scene.attributes
-    many = replace(
-        scene,
-        positions=scene.positions[rows],
-        masks=scene.masks[rows],
-        attributes=Attributes(a.features[rows], a.scalings[rows], a.offsets[rows], a.steps[rows]),
-        position_model=None,
-        chunk_anchors=None,
-        position_forms=None,
-    )
+    many = take_anchors(replace(scene, position_model=None), np.resize(np.arange(scene.anchor_count), 40_000))
     file = tmp_path / "many.c3gs"
     file.write_bytes(codec.emit(many))
     header = codec.parse_container(file.read_bytes())
