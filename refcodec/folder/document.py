@@ -10,14 +10,7 @@ from msgspec import Meta, Struct
 
 from ..bitstream.dimensions import Dimensions
 from ..bitstream.frame import FRAME_RANGE_BOUND, FRAME_SHIFT_MAX, MATRIX_BOUND, TRANSLATION_BOUND
-from ..bitstream.header import (
-    BASE_STEP_MAX,
-    BASE_STEP_MIN,
-    MAJOR,
-    ORIGIN_BOUND,
-    SCALE_EXPONENT_MAX,
-    Lanes,
-)
+from ..bitstream.header import BASE_STEP_MAX, BASE_STEP_MIN, MAJOR, ORIGIN_BOUND, SCALE_EXPONENT_MAX, Lanes
 from ..bitstream.positions import CELL_INDEX, HALVES, POSITION_MODELS
 from ..bitstream.tables import TOTAL
 from ..bitstream.weights import CARM_SHIFT_MAX, PLANE_SHIFT_MAX
