@@ -26,6 +26,19 @@ Call = Callable[..., tuple[int, str, str]]
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLE, TRAINED = ROOT / "vectors" / "tiny-example.c3gs", ROOT / "vectors" / "valid" / "trained-caliterra.c3gs"
 CALITERRA = ROOT / "examples" / "photographs" / "caliterra"
+# Commands that decode a file.
+DECODING = [
+    "validate FILE",
+    "digest FILE",
+    "decode FILE -o new",
+    "reconstruct FILE new --trace new.txt",
+    "gaussians FILE camera.json new",
+    "inspect FILE --trace",
+    "render FILE -o new",
+    "export FILE -o new.ply",
+    "export FILE -o new.html",
+    "eval FILE photos --size 48 --images new",
+]
 
 
 def packages(*names: str) -> bool:
@@ -34,6 +47,11 @@ def packages(*names: str) -> bool:
         return bool([import_module(name) for name in names]) or not names
     except ModuleNotFoundError:
         return False
+
+
+def lacking(command: str) -> bool:
+    """Whether a command needs packages that are not there."""
+    return command.startswith(("render", "export", "eval")) and not packages("numba", "PIL")
 
 
 @cache

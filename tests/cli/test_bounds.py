@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cli_inputs import EXAMPLE, VECTORS, Call, packages
+from cli_inputs import DECODING, EXAMPLE, VECTORS, Call, lacking
 from random_scenes import random_scene
 
 import refcodec
@@ -31,27 +31,14 @@ from refcodec.bitstream.source import Arriving, StoredFile, WholeFile
 from refcodec.files.remote import RemoteFile
 
 # Each command that takes a file.
-COMMANDS = [
-    "validate FILE",
-    "digest FILE",
-    "decode FILE -o new",
-    "reconstruct FILE new",
-    "gaussians FILE camera.json new",
-    "inspect FILE",
-    "inspect FILE --trace",
-    "render FILE -o new",
-    "export FILE -o new.ply",
-    "eval FILE photos --size 48",
-    "export FILE -o new.html",
-    "view FILE --no-browser",
-]
+COMMANDS = [*DECODING, "inspect FILE", "view FILE --no-browser"]
 BOUND, CLAIM = 400 << 20, 1500 << 20
 
 
 def prepare(command: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Skips a command whose packages are not there. None serves a page."""
     monkeypatch.setattr("refcodec.viewer.server.serve", pytest.fail)
-    if not packages(*["numba", "PIL"][: 2 * command.startswith(("render", "export", "eval"))]):
+    if lacking(command):
         pytest.skip("needs the extra render")
 
 
@@ -151,7 +138,7 @@ def test_tables_of_a_file_are_within_the_bounds() -> None:
                 show()
 
 
-@pytest.mark.parametrize("command", COMMANDS[:7])
+@pytest.mark.parametrize("command", [*DECODING[:6], "inspect FILE"])
 def test_a_url_has_a_bound_unless_the_caller_gives_one(
     command: str, place: Path, monkeypatch: pytest.MonkeyPatch, call: Call
 ) -> None:

@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cli_inputs import Call, packages
+from cli_inputs import DECODING, Call, contents, lacking
 from random_scenes import random_scene, without_chunks
 
 import refcodec
@@ -159,29 +159,17 @@ def test_progress_only_when_wanted(file: Path, call: Call) -> None:
 
 # --- verdicts ---------------------------------------------------------------------------------------------------------
 
-COMMANDS = {
-    "validate": "",
-    "digest": "",
-    "decode": "-o out",
-    "reconstruct": "out",
-    "gaussians": "camera.json out",
-    "inspect --decode": "",
-    "inspect --hex": "",
-    "inspect --json --decode": "",
-    "inspect --trace": "",
-    "inspect --html out.html": "",
-    "render": "-o out",
-    "export": "-o out.ply",
-    "export -o out.html": "",
-    "eval": "photos",
-}
+COMMANDS = [
+    *DECODING,
+    *(f"inspect FILE {form}" for form in ("--decode", "--hex", "--json --decode", "--html new.html")),
+]
 SMALL = [["validate"], ["digest"], ["inspect", "--decode"]]
 
 
 @pytest.mark.parametrize("command", COMMANDS)
 @pytest.mark.parametrize("fault", ["flipped", "cut", "empty", "text", "version", "profile"])
 def test_every_command_rejects_alike(command: str, fault: str, place: Path, data: bytes, call: Call) -> None:
-    if command in ("render", "export", "eval") and not packages("numba", "PIL"):
+    if lacking(command):
         pytest.skip("needs the extra render")
     damaged = {
         "flipped": data[:-20] + bytes([data[-20] ^ 1]) + data[-19:],
@@ -194,16 +182,15 @@ def test_every_command_rejects_alike(command: str, fault: str, place: Path, data
     Path("my file.c3gs").write_bytes(damaged)
     with pytest.raises(BitstreamError) as raised:
         codec.parse(damaged)
-    name, *options = command.split()
-    before = sorted(place.iterdir())
-    status, out, err = call(name, "my file.c3gs", *COMMANDS[command].split(), *options)
+    before = contents(place)
+    status, out, err = call(*("my file.c3gs" if word == "FILE" else word for word in command.split()))
     assert status == raised.value.exit_status == (2 if fault in ("version", "profile") else 1)
     assert verdict(err) == json.loads(raised.value.to_json())
     assert ("It looks like text" if fault == "text" else "refcodec inspect 'my file.c3gs' --near") in err
-    assert sorted(place.iterdir()) == before
-    if "--hex" in options:
+    assert contents(place) == before
+    if "--hex" in command:
         assert f"^^ error {raised.value.kind.code}" in out
-    if "--json" in options:
+    if "--json" in command:
         assert json.loads(out)["error"]["code"] == raised.value.kind.code
 
 
