@@ -1,4 +1,4 @@
-"""Valid scenes of NumPy's random numbers, with given spreads, and scenes without some of their chunks."""
+"""Valid scenes of NumPy's random numbers, with given spreads, scenes without some chunks, and damaged files."""
 
 from __future__ import annotations
 
@@ -73,6 +73,14 @@ def random_networks(d: Dimensions, rng: np.random.Generator, gain: float = 1.0) 
                 bias[-3:] += 32
             networks[name].append((weight, bias))
     return networks
+
+
+def flipped(data: bytes, *places: int) -> bytes:
+    """Returns a file with one bit flipped in each of some bytes. Negative places count from the end."""
+    changed = bytearray(data)
+    for place in places:
+        changed[place] ^= 1
+    return bytes(changed)
 
 
 def without_chunks(made: Scene, dropped: list[int]) -> Scene:

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 import pytest
 from cli_inputs import DECODING, Call, contents, lacking
-from random_scenes import random_scene, without_chunks
+from random_scenes import flipped, random_scene, without_chunks
 
 import refcodec
 from conformance.cases.checksums import Depth, lengthened, repair
@@ -172,7 +172,7 @@ def test_every_command_rejects_alike(command: str, fault: str, place: Path, data
     if lacking(command):
         pytest.skip("needs the extra render")
     damaged = {
-        "flipped": data[:-20] + bytes([data[-20] ^ 1]) + data[-19:],
+        "flipped": flipped(data, -20),
         "cut": data[:-1],
         "empty": b"",
         "text": b"#!/bin/sh\necho not a scene at all\n",
@@ -185,13 +185,15 @@ def test_every_command_rejects_alike(command: str, fault: str, place: Path, data
     before = contents(place)
     status, out, err = call(*("my file.c3gs" if word == "FILE" else word for word in command.split()))
     assert status == raised.value.exit_status == (2 if fault in ("version", "profile") else 1)
+    kind = raised.value.kind
     assert verdict(err) == json.loads(raised.value.to_json())
+    assert f"SPEC.md {kind.clause} [{kind.requirement}]" in err
     assert ("It looks like text" if fault == "text" else "refcodec inspect 'my file.c3gs' --near") in err
     assert contents(place) == before
     if "--hex" in command:
-        assert f"^^ error {raised.value.kind.code}" in out
+        assert f"^^ error {kind.code}" in out
     if "--json" in command:
-        assert json.loads(out)["error"]["code"] == raised.value.kind.code
+        assert json.loads(out)["error"]["code"] == kind.code
 
 
 def test_verdict_through_a_shell(file: Path, data: bytes) -> None:
@@ -309,13 +311,10 @@ def test_errors_that_are_no_verdicts(
 # --- keep going -------------------------------------------------------------------------------------------------------
 
 
-def flipped(data: bytes, *chunks: int) -> bytes:
+def flipped_chunks(data: bytes, *chunks: int) -> bytes:
     """One bit flipped in the attributes of the first or the last chunk."""
     section = parse_container(data).section(DATA)
-    changed = bytearray(data)
-    for chunk in chunks:
-        changed[section.start + 40 if chunk == 0 else section.end - 40] ^= 1
-    return bytes(changed)
+    return flipped(data, *(section.start + 40 if chunk == 0 else section.end - 40 for chunk in chunks))
 
 
 KEEP = ("decode", "scene.c3gs", "-o", "scene", "--keep-going")
@@ -324,7 +323,7 @@ KEEP = ("decode", "scene.c3gs", "-o", "scene", "--keep-going")
 @pytest.mark.requirement("D10.2-2")
 def test_keep_going(file: Path, data: bytes, scene: Scene, call: Call) -> None:
     assert call(*KEEP) == (0, "", "scene: 40 anchors of scene.c3gs\n")
-    file.write_bytes(flipped(data, 0, 2))
+    file.write_bytes(flipped_chunks(data, 0, 2))
     status, _, err = call(*KEEP)
     assert status == 1
     lines = err.splitlines()
@@ -340,7 +339,7 @@ def test_keep_going(file: Path, data: bytes, scene: Scene, call: Call) -> None:
 
 def test_keep_going_with_other_damages(file: Path, data: bytes, call: Call) -> None:
     # Every CRC-32 of bytes is right: the chunk's own checks find the wrong symbol, and the verdict is theirs.
-    file.write_bytes(repair(flipped(data, 2)))
+    file.write_bytes(repair(flipped_chunks(data, 2)))
     error = verdict(call(*KEEP)[2])
     assert error["path"] == "attributes[chunk 2]"
     assert error["name"].startswith("substream.")

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from plyfile import PlyData
-from random_scenes import random_scene
+from random_scenes import flipped, random_scene
 from safetensors.numpy import load_file, save
 
 from refcodec.bitstream import codec, reader, reconstruction
@@ -54,14 +54,10 @@ def decoded(data: bytes, folder: Path, numbers: range | None = None, keep_going:
     return decode_folder(read.open(critical_only=numbers is not None), folder, numbers, keep_going=keep_going)
 
 
-def flipped(data: bytes, *chunks: int) -> bytes:
-    """One bit flipped in some chunks."""
-    read = Reader(WholeFile(data))
-    index = read.open().index
-    changed = bytearray(data)
-    for number in chunks:
-        changed[index[number].start + 20] ^= 1
-    return bytes(changed)
+def damaged(*chunks: int) -> bytes:
+    """The file with one bit flipped in some chunks."""
+    index = Reader(WholeFile(DATA_OF)).open().index
+    return flipped(DATA_OF, *(index[number].start + 20 for number in chunks))
 
 
 # --- the files --------------------------------------------------------------------------------------------------------
@@ -123,7 +119,7 @@ def test_nothing_is_reconstructed_twice(tmp_path: Path, monkeypatch: pytest.Monk
 @pytest.mark.usefixtures("small_groups")
 @pytest.mark.parametrize("chunks", [[], [0], [5], [1, 2, 4], list(range(6))])
 def test_good_chunks_of_a_damaged_file(chunks: list[int], tmp_path: Path) -> None:
-    data = flipped(DATA_OF, *chunks)
+    data = damaged(*chunks)
     done = decoded(data, tmp_path / "left", keep_going=True)
     parsed = codec.parse(data, keep_going=True)
     assert {n: e.to_json() for n, e in done.damage.items()} == {n: e.to_json() for n, e in parsed.damage.items()}
@@ -229,7 +225,7 @@ def test_every_way_refuses_alike(tmp_path: Path) -> None:
 def test_a_folder_stays_as_it_was(way: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_folder(random_scene(40, 5), tmp_path / "old")
     before = files(tmp_path / "old")
-    data = {"interrupted": DATA_OF, "refused": flipped(DATA_OF, 4), "refused at the end": DATA_OF + b"x"}[way]
+    data = {"interrupted": DATA_OF, "refused": damaged(4), "refused at the end": DATA_OF + b"x"}[way]
     if way == "interrupted":
         left = 5
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from random_scenes import random_scene
+from random_scenes import flipped, random_scene
 
 from conformance.cases.checksums import repair
 from conformance.cases.scenes import MAIN_DIMENSIONS, TINY_DIMENSIONS
@@ -125,10 +125,9 @@ def test_header_without_limits_is_not_believed(data):
 def test_error_stands_at_its_byte(data):
     section = parse_container(data).sections[1]
     # The section's CRC-32 is what notices; it is said where the section begins.
-    damaged = bytearray(data)
-    damaged[section.start + section.length - 1] ^= 1
-    error = verdict(bytes(damaged))
-    lines = list(dump.hex_lines(bytes(damaged), [error]))
+    damaged = flipped(data, section.start + section.length - 1)
+    error = verdict(damaged)
+    lines = list(dump.hex_lines(damaged, [error]))
     at = next(i for i, line in enumerate(lines) if "^^ error 312 section.crc" in line)
     assert lines[at - 1].startswith(f"{section.start:08x}")
     # A file that ends too early: at the end.
@@ -210,11 +209,9 @@ def test_trace_is_the_decoding(scene, data):
 
 
 def test_trace_stops_at_the_error(data):
-    damaged = bytearray(data)
-    damaged[30] ^= 1
     lines: list[str] = []
     with pytest.raises(BitstreamError):
-        trace.trace(bytes(damaged), lines.append)
+        trace.trace(flipped(data, 30), lines.append)
     assert lines[-1].startswith("header.header_crc\t")
 
 

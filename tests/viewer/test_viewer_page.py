@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from random_scenes import random_scene
+from random_scenes import flipped, random_scene
 
 from conformance.cases.scenes import PLANELESS
 from refcodec.bitstream.attributes import Attributes
@@ -191,13 +191,12 @@ def test_the_rule_for_texts(browser: Chromium) -> None:
 
 def test_a_damaged_file(browser: Chromium, trained: Path, tmp_path: Path) -> None:
     """The page says what refcodec says: code, clause and offset. Nothing of the scene stays."""
-    data = bytearray(trained.read_bytes())
-    data[len(data) - 1000] ^= 1
+    data = flipped(trained.read_bytes(), -1000)
     with pytest.raises(BitstreamError) as refused:
-        parse(bytes(data))
+        parse(data)
     verdict = json.loads(refused.value.to_json())
     with pytest.raises(BrowserError, match=str(verdict["code"])):
-        _show(browser, tmp_path, bytes(data))
+        _show(browser, tmp_path, data)
     message = _text(browser, "#error")
     assert "damaged" in message
     for part in (str(verdict["code"]), verdict["name"], f"SPEC.md {verdict['clause']}", f"byte {verdict['offset']}"):
@@ -395,9 +394,7 @@ def test_a_file_after_another(browser: Chromium, trained: Path, tmp_path: Path) 
     browser.run(f"c3gs.open({{ input: {_input(good)}, name: 'good' }})")
     browser.run("c3gs.settle()")
     assert _edge(browser).std() > 1
-    bad = bytearray(good)
-    bad[len(bad) - 1000] ^= 1
-    browser.run(f"c3gs.open({{ input: {_input(bytes(bad))}, name: 'bad' }})")
+    browser.run(f"c3gs.open({{ input: {_input(flipped(good, -1000))}, name: 'bad' }})")
     with pytest.raises(BrowserError, match="clause"):
         browser.run("c3gs.settle()")
     assert not _edge(browser).any()
