@@ -10,11 +10,13 @@ from __future__ import annotations
 _ONE_ITEM = "A field that is not a list is a list of one item, whose first and last item are the same."
 _SYMMETRIC = "The minimum or maximum of two integers does not depend on their order."
 _ONE_ERROR = "Both checks refuse a file with the same error at the same offset."
+_ROW_OF_A_PLANE = "i is -1 to size - 1. Row -1 is the last one, which is still 0 where the first one is decoded."
 _UNREAD_SIGN = "A value whose highest bit is set is refused with the same error, as negative as it is as positive."
 
 PROOFS: dict[str, str] = {
     "BOUNDS-constant-024c42db": "The lower bound of an unsigned field may be -1 instead of 0.",
-    "ROUND_SCALED-compare-0adb4382": "The two differ only for a shift of 0, where RSHIFT_ROUND(m, 0) = m << 0 = m.",
+    "ROUND_SCALED-moved-e8f0d575": "The two differ only for a shift of 0, where RSHIFT_ROUND(m, 0) = m << 0 = m.",
+    "ROUND_F32-moved-f180782a": "n is not 0 there: for 0 the function has returned.",
     "ROUND_F32-arguments-0e5729d1": _SYMMETRIC,
     "ROUND_F32-arithmetic-03ba666a": (
         "For m = 2^24 both give (e + s + 151) * 2^23: the right decoder as 2^23 + (e + s + 150) * 2^23, the changed "
@@ -22,6 +24,11 @@ PROOFS: dict[str, str] = {
         "and the limits of base steps, grids and exponents keep its lowest bit at 2^-149 or above."
     ),
     "ACTIVATION-arguments-07236520": "min(max(a, -A), A) does not depend on the order of a and -A.",
+    "DECODE_PLANE-moved-5c25d25e": _ROW_OF_A_PLANE,
+    "DECODE_PLANE-part-f2e8918a": _ROW_OF_A_PLANE,
+    "DECODE_PLANE-split-11995b4e": _ROW_OF_A_PLANE,
+    "DECODE_PLANE-split-ba898142": _ROW_OF_A_PLANE,
+    "CONTRACT-moved-799e3e14": "Where q is the square of unit, n and f are unit, and x * unit // unit is x.",
     "QUERY-arguments-17902e5e": _SYMMETRIC,
     "GAMMA-constant-0a5caf9d": (
         "The phase modulo 2^17 differs from the phase modulo 2^16 by 0 or 2^16, thus the turn by 0 or SINE_LENGTH. "
@@ -54,6 +61,7 @@ PROOFS: dict[str, str] = {
 GAPS: dict[str, str] = {
     "END-swapped-010f84de": "an escape that is too long, in a substream whose final state is wrong",
     "END-swapped-2f536dc6": "a substream without raw bytes, whose symbols have raw bits",
+    "PACKED_LAYER-split-35a80710": "a packed row with an exponent below WEIGHT_EXPONENT_MIN",
     "PARSE_HEADER-swapped-f71b3b03": "a header with too many bytes, and padding of the dimensions that is not zero",
     "PARSE_HEADER-listed-ef673efc": "reserved fields of PositionGrid and of RenderInfo that are both not zero",
     "CHECK_HEADER-swapped-0eada465": "planes without plane_size and without layers of SARM",

@@ -10,6 +10,7 @@ from pathlib import Path
 from .mutant import Mutant, definitions, planted, span, text
 
 LIST = Path(__file__).with_name("handwritten.toml")
+CHANGED = re.compile(r"\[-(.*?)-\]|\{\+(.*?)\+\}", re.DOTALL)
 
 
 class BugError(ValueError):
@@ -33,11 +34,11 @@ def plant(name: str, place: str, old: str, new: str, what: str, requirements: tu
 
 def read(name: str, place: str, entry: str) -> Mutant:
     """Returns the mutant of an entry of the list. Raises BugError."""
-    head, *lines = entry.splitlines()
-    requirements, colon, what = head.partition(": ")
-    old, new = ("\n".join(line[2:] for line in lines if line[:2] == mark) for mark in ("- ", "+ "))
-    if not colon or [line[:2] for line in lines] != ["- "] * (old.count("\n") + 1) + ["+ "] * (new.count("\n") + 1):
-        raise BugError(f"{name} is not requirements and a text, lines with - and lines with +")
+    head, *changes = re.split(r" \| |\n", entry, maxsplit=1)
+    (requirements, colon, what), change = head.partition(": "), "".join(changes)
+    old, new = CHANGED.sub(r"\1", change), CHANGED.sub(r"\2", change)
+    if not colon or old == new:
+        raise BugError(f"{name} is not requirements, a text and a change")
     return plant(name, place, old, new, what, tuple(requirements.split(", ")))
 
 

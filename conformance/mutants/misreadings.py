@@ -88,11 +88,10 @@ def checks(statement: ast.stmt) -> list[Check]:
     return [check for check in found if check]
 
 
-def _inside(statement: ast.stmt, kind: type[ast.expr]) -> Iterator[tuple[Any, str]]:
-    """Yields the nodes of a kind in the conditions of checks, each with the error."""
-    for check in checks(statement):
-        for condition in check.conditions:
-            yield from ((node, check.error) for node in ast.walk(condition) if isinstance(node, kind))
+def _inside(statement: ast.stmt, kind: type[ast.expr]) -> Iterator[tuple[Any, tuple[str, ...]]]:
+    """Yields the expressions of a kind, each with the error of the check that it decides, if it does."""
+    own = {node: (c.error,) for c in checks(statement) for condition in c.conditions for node in ast.walk(condition)}
+    yield from ((node, own.get(node, ())) for node in ast.walk(statement) if isinstance(node, kind))
 
 
 # --- checks -----------------------------------------------------------------------------------------------------------
@@ -107,20 +106,20 @@ def unchecked(statement: ast.stmt) -> Iterator[Edit]:
 
 def split(statement: ast.stmt) -> Iterator[Edit]:
     """Of a range only one end is checked."""
-    for node, error in _inside(statement, ast.Compare):
+    for node, errors in _inside(statement, ast.Compare):
         if len(node.ops) > 1:
             (first, end), low, high = span(node), span(node.comparators[-2])[1], span(node.comparators[0])[0]
-            yield Edit((first, end), text()[high:end], "missing check of the first bound", (error,))
-            yield Edit((first, end), text()[first:low], "missing check of the last bound", (error,))
+            yield Edit((first, end), text()[high:end], "missing check of the first bound", errors)
+            yield Edit((first, end), text()[first:low], "missing check of the last bound", errors)
 
 
 def part(statement: ast.stmt) -> Iterator[Edit]:
     """One of several conditions is left out."""
-    for node, error in _inside(statement, ast.BoolOp):
+    for node, errors in _inside(statement, ast.BoolOp):
         for value in node.values:
             rest = [f"({_text(other)})" for other in node.values if other is not value]
             joined = (" and " if isinstance(node.op, ast.And) else " or ").join(rest)
-            yield Edit(span(node), joined, "missing condition", (error,))
+            yield Edit(span(node), joined, "missing condition", errors)
 
 
 _MOVED: dict[type[ast.cmpop], ast.cmpop] = {
@@ -130,12 +129,12 @@ _MOVED: dict[type[ast.cmpop], ast.cmpop] = {
 
 def moved(statement: ast.stmt) -> Iterator[Edit]:
     """A bound that belongs to a range is excluded, or the other way round."""
-    for node, error in _inside(statement, ast.Compare):
+    for node, errors in _inside(statement, ast.Compare):
         for i, operator in enumerate(node.ops):
             if type(operator) in _MOVED:
                 operators = [*node.ops[:i], _MOVED[type(operator)], *node.ops[i + 1 :]]
                 new = ast.unparse(ast.Compare(node.left, operators, node.comparators))
-                yield Edit(span(node), new, "off by one", (error,))
+                yield Edit(span(node), new, "off by one", errors)
 
 
 def listed(statement: ast.stmt) -> Iterator[Edit]:

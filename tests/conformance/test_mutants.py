@@ -77,10 +77,12 @@ def test_a_text_that_is_gone_is_noticed() -> None:
         changed_text("DECODE_MASKS", "masks", "")
     with pytest.raises(handwritten.BugError, match="is not a function or constant that decodes"):
         changed_text("PIXEL", "", "")
-    read = handwritten.read("two-lines", "DECODE_MASKS", "D7.6-1, R8.8-5: what\n- m.append(bit)\n+ m += [bit]\n+ pass")
+    entry = "D7.6-1, R8.8-5: what\n[-m.append(-]{+m += [+}bit[-)-]{+]\npass+}"
+    read = handwritten.read("two-lines", "DECODE_MASKS", entry)
     assert (read.old, read.new, read.what) == ("m.append(bit)", "m += [bit]\npass", "what")
     assert read.requirements == ("D7.6-1", "R8.8-5")
-    for entry in ("what\n- bit\n+ 1", "D7.6-1: what\n+ 1\n- m.append(bit)", "D7.6-1: what\n- m.append(bit)\nmore"):
+    assert handwritten.read("two-lines", "DECODE_MASKS", entry.replace("what\n", "what | ")) == read
+    for entry in ("what\n[-bit-]{+1+}", "D7.6-1: what\nm.append(bit)", "D7.6-1: what", "D7.6-1: what\n[-none-]"):
         with pytest.raises(handwritten.BugError):
             handwritten.read("wrong", "DECODE_MASKS", entry)
 
@@ -142,6 +144,8 @@ ITEMS = '("reserved", "grid_reserved", "render_reserved", "dimensions_reserved")
         (misreadings.split, "PARSE_PROLOGUE", LENGTH, "HEADER_LENGTH_MIN <= length", "R6.1-5"),
         (misreadings.part, "PARSE_PROLOGUE", f"{LENGTH} and length % 4 == 0", f"({LENGTH})", "R6.1-5"),
         (misreadings.moved, "PARSE_FRAME", "x <= FRAME_SHIFT_MAX", "x < FRAME_SHIFT_MAX", "R6.7-2"),
+        # Also where no check is.
+        (misreadings.moved, "CONTRACT", "q <= unit * unit", "q < unit * unit", "D7.5.2-1"),
         (misreadings.listed, "PARSE_HEADER", ITEMS, ITEMS.replace('"grid_reserved", ', "")[:-1] + ",)", "R6.2-5"),
         (misreadings.listed, "PARSE_HEADER", ITEMS,
          ITEMS.replace('"reserved", "grid_reserved"', '"grid_reserved", "reserved"'), "R6.2-5"),
