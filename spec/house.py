@@ -12,42 +12,21 @@ from pathlib import Path
 from .made import ROOT, Made
 
 PAGE = ROOT / "ARCHITECTURE.md"
+
+
+def _in(package: str, names: str) -> tuple[str, ...]:
+    return tuple(f"{package}.{name}" for name in names.split())
+
+
 # The packages (rooms) by the parts of ARCHITECTURE.md's table. Each may import earlier ones.
 PARTS = {
-    "format": (
-        "refcodec",
-        "refcodec.files",
-        "refcodec.pages",
-        "refcodec.native",
-        "refcodec.bitstream",
-        "refcodec.encoder",
-        "refcodec.folder",
-        "refcodec.inspect",
-    ),
-    "scenes": (
-        "refcodec.formats",
-        "refcodec.rendering",
-        "refcodec.export",
-        "refcodec.photographs",
-        "refcodec.viewer",
-        "refcodec.evaluate",
-        "refcodec.train",
-        "refcodec.convert",
-        "refcodec.experiments",
-    ),
-    "front doors": ("refcodec.api", "refcodec.cli"),
+    "format": ("refcodec", *_in("refcodec", "files pages native bitstream encoder folder inspect")),
+    "scenes": _in("refcodec", "formats rendering export photographs viewer evaluate train convert experiments"),
+    "front doors": _in("refcodec", "api cli"),
     "conformance": (
-        "conformance.spec_decoder",
-        "conformance",
-        "conformance.cases",
-        "conformance.runner",
-        "conformance.report",
-        "conformance.fuzz",
-        "conformance.mutants",
-        "conformance.cli",
-        "spec",
-        "benchmarks",
-        "release",
+        *("conformance.spec_decoder", "conformance"),
+        *_in("conformance", "cases runner report fuzz mutants cli"),
+        *("spec", "benchmarks", "release"),
     ),
 }
 ROOMS = tuple(room for rooms in PARTS.values() for room in rooms)

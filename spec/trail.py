@@ -42,6 +42,7 @@ DECODING = ("refcodec/bitstream/", "refcodec/rendering/", "refcodec/folder/", "S
 WRITES = ("refcodec",)
 # Functions of SPEC.md that are also for clauses without a block, and these clauses.
 CLAUSES = {
+    "FRAME_COORDINATES": ("7.5.1",), "CONTRACT": ("7.5.2",), "RESCALE": ("7.5.3",),
     "DECODE_SYMBOL": ("8.2",), "DECODE_VALUES": ("8.6",), "WORLD": ("9.1",),
     "DECODE_ATTRIBUTES": ("7.7", "7.8", "7.9"), "DECODE_FILE": ("10.1", "15.4"), "CHECK_DIRECTORY": ("12.1", "13.1"),
 }  # fmt: skip

@@ -27,32 +27,17 @@ _BLOCK = 1024
 _SHOWN = 60
 _FORM = re.compile(r"probe ([a-z_A-Z0-9.]{1,40})\[([0-9]{1,10})\]((?: -?[0-9]{1,20})*)", re.ASCII)
 
-# The clauses that define a number, and the numbers that it is computed from.
-_OWN = {
-    "P": ("7.4",),
-    "v": ("7.5.1",),
-    "w": ("7.5.2",),
-    "u": ("7.5.3",),
-    "samples": ("7.5.4",),
-    "gamma": ("7.5.5",),
-    "means": ("7.2", "7.7"),
-    "scales": ("7.2", "7.7"),
-    "step_outputs": ("7.2", "7.7"),
-    "slice": ("7.9",),
-    "steps": ("7.8",),
-}
-_FROM: dict[str, tuple[str, ...]] = {
-    "P": (),
-    "v": ("P",),
-    "w": ("v",),
-    "u": ("w",),
-    "samples": ("u",),
-    "gamma": ("u",),
-    "means": ("samples", "gamma"),
-    "scales": ("samples", "gamma"),
-    "step_outputs": ("samples", "gamma"),
-    "slice": ("means", "scales"),
-    "steps": ("step_outputs",),
+# Of each number the clauses that define it, and the numbers that it is computed from.
+_NUMBERS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    "P": (("7.4",), ()),
+    "v": (("7.5.1",), ("P",)),
+    "w": (("7.5.2",), ("v",)),
+    "u": (("7.5.3",), ("w",)),
+    "samples": (("7.5.4",), ("u",)),
+    "gamma": (("7.5.5",), ("u",)),
+    **dict.fromkeys(("means", "scales", "step_outputs"), (("7.2", "7.7"), ("samples", "gamma"))),
+    "slice": (("7.9",), ("means", "scales")),
+    "steps": (("7.8",), ("step_outputs",)),
 }
 
 
@@ -118,12 +103,13 @@ def _clauses(packed: bool, name: str, doubtful: set[str], symbols: bool) -> tupl
     waiting = [_kind(name)]
     while waiting:
         kind = waiting.pop(0)
-        found += _OWN[kind]
+        own, sources = _NUMBERS[kind]
+        found += own
         if kind == "P" and packed:
             found.append("7.12")
         if kind == "samples" and not symbols:
             found.append("7.3")
-        waiting += [source for source in _FROM[kind] if source in doubtful]
+        waiting += [source for source in sources if source in doubtful]
     return tuple(dict.fromkeys(found))
 
 

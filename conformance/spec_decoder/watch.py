@@ -107,33 +107,14 @@ class Watch:
         self._anchor += 1
         return out
 
-    # SPEC 7.5.1
-    def frame_coordinates(self, call: Callable[..., list[int]], *arguments: Any) -> list[int]:
-        """Writes v."""
-        return self._written("v", call(*arguments))
-
-    # SPEC 7.5.2
-    def contract(self, call: Callable[..., list[int]], *arguments: Any) -> list[int]:
-        """Writes w."""
-        return self._written("w", call(*arguments))
-
-    # SPEC 7.5.3
-    def rescale(self, call: Callable[..., list[int]], *arguments: Any) -> list[int]:
-        """Writes u."""
-        return self._written("u", call(*arguments))
-
     # SPEC 7.5.4
     def query(self, call: Callable[..., list[int]], *arguments: Any) -> list[int]:
         """Writes the samples of a plane, first of r = 1, then of r = 2."""
         self._samples += 1
-        return self._written(f"samples.r{self._samples}", call(*arguments))
+        return self.written(f"samples.r{self._samples}", call(*arguments))
 
-    # SPEC 7.5.5
-    def gamma(self, call: Callable[..., list[int]], *arguments: Any) -> list[int]:
-        """Writes the positional encoding."""
-        return self._written("gamma", call(*arguments))
-
-    def _written(self, name: str, values: list[int]) -> list[int]:
+    def written(self, name: str, values: list[int]) -> list[int]:
+        """Writes the result of a function of WRITTEN."""
         self._probe(name, self._anchor, values)
         return values
 
@@ -206,14 +187,19 @@ def _channel(anchor: int, channel: int, features: int) -> str:
     return f"attributes.offsets[{anchor},{offset},{axis}]"
 
 
+# SPEC 7.5.1, 7.5.2, 7.5.3, 7.5.5: functions whose results are probes, with their names.
+WRITTEN = {"FRAME_COORDINATES": "v", "CONTRACT": "w", "RESCALE": "u", "GAMMA": "gamma"}
 WATCHED = (
     "NOTE_SYMBOLS", "CHECK_HEADER", "DECODE_WEIGHTS", "DECODE_PLANE", "DECODE_POSITIONS", "DECODE_MASKS", "CONTEXT",
-    "FRAME_COORDINATES", "CONTRACT", "RESCALE", "QUERY", "GAMMA", "DECODE_ATTRIBUTES", "NETWORK", "DECODE_VALUES",
+    *WRITTEN, "QUERY", "DECODE_ATTRIBUTES", "NETWORK", "DECODE_VALUES",
 )  # fmt: skip
 
 
-def _watched(call: Callable[..., Any], watch: Callable[..., Any]) -> Callable[..., Any]:
-    return lambda *arguments: watch(call, *arguments)
+def _watched(name: str, call: Callable[..., Any], watch: Watch) -> Callable[..., Any]:
+    if name in WRITTEN:
+        return lambda *arguments: watch.written(WRITTEN[name], call(*arguments))
+    method = getattr(watch, name.lower())
+    return lambda *arguments: method(call, *arguments)
 
 
 @contextmanager
@@ -223,7 +209,7 @@ def watched(file: TextIO, probed: bool = False) -> Iterator[None]:
     kept = {name: getattr(blocks, name) for name in WATCHED}
     try:
         for name, call in kept.items():
-            setattr(blocks, name, _watched(call, getattr(watch, name.lower())))
+            setattr(blocks, name, _watched(name, call, watch))
         yield
     finally:
         vars(blocks).update(kept)

@@ -248,46 +248,30 @@ def test_the_first_catch_ends_a_trial() -> None:
 
 
 def crash_is_refusal(case: Case, outcome: Outcome) -> str | None:
-    """Takes a crash for a refusal."""
     return None if outcome.kind == "crash" and case.error else grade(case, outcome)
 
 
-def hang_is_pass(case: Case, outcome: Outcome) -> str | None:
-    """Takes a decoder that does not end for a right one."""
-    return None if outcome.kind == "hang" else grade(case, outcome)
+def _without(member: int) -> Grade:
+    """A grader that takes any code (member 0) or offset (1) for the right one."""
+    name = ("code", "offset")[member]
+    return lambda case, o: grade(case, replace(o, **{name: case.error[member] if case.error else 0}))
 
 
-def no_digest(case: Case, outcome: Outcome) -> str | None:
-    """Does not compare digests."""
-    return None if outcome.kind == "accepted" and case.error is None else grade(case, outcome)
+WRONG: dict[str, Grade] = {
+    "a crash is a refusal": crash_is_refusal,
+    "a decoder that does not end is right": lambda c, o: None if o.kind == "hang" else grade(c, o),
+    "no digest": lambda c, o: None if o.kind == "accepted" and c.error is None else grade(c, o),
+    "no code": _without(0),
+    "no offset": _without(1),
+    "all pass": lambda c, o: None,
+    "none passes": lambda c, o: "wrong",
+}
 
 
-def no_offset(case: Case, outcome: Outcome) -> str | None:
-    """Does not compare offsets."""
-    return grade(case, replace(outcome, offset=case.error[1] if case.error else 0))
-
-
-def no_code(case: Case, outcome: Outcome) -> str | None:
-    """Does not compare codes."""
-    return grade(case, replace(outcome, code=case.error[0] if case.error else 0))
-
-
-def all_pass(case: Case, outcome: Outcome) -> str | None:
-    """Lets everything pass."""
-    return None
-
-
-def none_passes(case: Case, outcome: Outcome) -> str | None:
-    """Lets nothing pass."""
-    return "wrong"
-
-
-@pytest.mark.parametrize(
-    "judge", [crash_is_refusal, hang_is_pass, no_digest, no_offset, no_code, all_pass, none_passes]
-)
-def test_a_wrong_grader_is_caught(judge: Grade) -> None:
+@pytest.mark.parametrize("name", WRONG)
+def test_a_wrong_grader_is_caught(name: str) -> None:
     with pytest.raises(selftest.SelfTestError, match="the grader"):
-        selftest.check_grader(list(CASES.values()), judge)
+        selftest.check_grader(list(CASES.values()), WRONG[name])
 
 
 def test_the_grader_is_right() -> None:

@@ -104,30 +104,16 @@ def test_errors_are_those_of_the_registry() -> None:
             assert vector.klass in (kind.klass, "resource")
 
 
-VECTOR = ["vectors", 0]
-
-
-@pytest.mark.parametrize(
-    "place",
-    [
-        [],
-        VECTOR,
-        [*VECTOR, "input"],
-        [*VECTOR, "expectation"],
-        [*VECTOR, "expectation", "parts"],
-        [*VECTOR, "budget"],
-        [*VECTOR, "generator"],
-    ],
-    ids=str,
-)
-def test_the_schema_and_the_program_allow_no_other_field(place: list[Any]) -> None:
+@pytest.mark.parametrize("member", ["", "vector", "input", "expectation", "expectation parts", "budget", "generator"])
+def test_the_schema_and_the_program_allow_no_other_field(member: str) -> None:
+    """member: of the manifest (""), or of its first vector."""
     schema = json.loads((VECTORS / SCHEMA).read_text(encoding="utf-8"))
     jsonschema.Draft202012Validator.check_schema(schema)
     whole = document()
     found = {**whole, "vectors": whole["vectors"][:1]}
     jsonschema.validate(found, schema)
-    at: Any = found
-    for step in place:
+    at: Any = found["vectors"][0] if member else found
+    for step in member.removeprefix("vector").split():
         at = at[step]
     for change in (lambda: at.update(more=1), at.popitem, at.popitem):
         change()
