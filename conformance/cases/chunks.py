@@ -50,10 +50,7 @@ def byte(t: Target, chunk: int, at: int, bits: int) -> Edit:
     return Edit(t.flip(place, bits), start, Depth.SECTIONS)
 
 
-# The first of the reserved bytes is reported.
-reserved = element(
-    "chunk.reserved", "chunk[{}].reserved[{}]", any_chunk, (0, 2), (1, 255), reported="chunk[{}].reserved[0]"
-)
+reserved = element("chunk.reserved", "chunk[{}].reserved[{}]", any_chunk, (0, 2), (1, 255))
 # An unknown form, or the packed form without a model of positions.
 form = element(
     "chunk.form", "chunk[{}].position_form", any_chunk, lambda d, t, _: d.integer(1 + t.sections[INDEX].mode, 255)

@@ -165,6 +165,11 @@ def fault(
 # --- faults of usual kinds --------------------------------------------------------------------------------------------
 
 
+def _first(path: str) -> str:
+    """Returns the path of the first reserved byte for one of several."""
+    return re.sub(r"reserved\[.\]", "reserved[0]", path)
+
+
 def element(
     error: str,
     path: str,
@@ -177,13 +182,13 @@ def element(
     """Returns the fault that an element has a wrong value. By default it has the name of the element.
 
     path: of the element. The first arguments of the fault fill its braces, the last is the value. reported: the path of
-    the reported element, if it is another, or a function that returns the offset. drawn, base: as of Fault. right: as
-    of Edit.
+    the reported element, if it is another, or a function that returns the offset. The item 0 of a list of reserved
+    bytes is reported for all of them. drawn, base: as of Fault. right: as of Edit.
     """
 
     def wrong(t: Target, *arguments: Any) -> Edit:
         *places, value = arguments
-        at = reported(t, *places) if callable(reported) else t.at((reported or path).format(*places))
+        at = reported(t, *places) if callable(reported) else t.at(_first((reported or path).format(*places)))
         return Edit(t.pack({path.format(*places): value}), at, right)
 
     name = name or path.rpartition(".")[2].replace("[{}]", "").replace("{}", "value")
@@ -197,7 +202,7 @@ def wrong_value(error: str, values: Mapping[str, Sequence[float]]) -> Fault[...]
     """
 
     def value(t: Target, path: str, value: float) -> Edit:
-        return Edit(t.pack({path: value}), t.at(re.sub(r"reserved\[.\]", "reserved[0]", path)))
+        return Edit(t.pack({path: value}), t.at(_first(path)))
 
     def present(draw: Draw, t: Target) -> str:
         return draw.choice([path for path in values if t.has(path)])

@@ -18,7 +18,7 @@ from refcodec.bitstream.scene import Scene
 from refcodec.encoder.positions import position_model
 
 from .checksums import resized
-from .fault import Draw, Drawn, Edit, Whole, element, fault
+from .fault import Draw, Drawn, Edit, Spec, Whole, element, fault
 from .samplers import drawn
 from .scenes import SMALLEST, cheap, cuboid, f16, scene, sharp_model
 from .table import More, refused, valid
@@ -30,9 +30,12 @@ from .weights import packed_weights
 WRONG_F16 = {"infinite": 0x7C00, "minus-infinite": 0xFC00, "not-a-number": 0x7E01, "negative-zero": 0x8000}
 
 
-def _model(draw: Draw, t: Target) -> int:
-    """Draws a model of positions, if there are any."""
-    return draw.choice(range(POSITION_MODELS) if t.sections[INDEX].mode else [])
+def _of_models(numbers: range) -> Spec:
+    """Returns a function that draws one of the numbers, if there are models of positions."""
+    return lambda draw, t: draw.choice(numbers if t.sections[INDEX].mode else [])
+
+
+_model = _of_models(range(POSITION_MODELS))
 
 
 def _frequencies(t: Target, model: int) -> list[int]:
@@ -45,18 +48,8 @@ def _with_frequencies(t: Target, model: int, values: list[int]) -> Edit:
     return Edit(t.pack({path: value % (1 << 16) for path, value in zip(paths, values, strict=True)}), t.at(paths[0]))
 
 
-reserved = element(
-    "index.reserved",
-    "index.position_model.reserved[{}]",
-    lambda d, t: d.choice(range(3) if t.sections[INDEX].mode else []),
-    (1, 255),
-    reported="index.position_model.reserved[0]",
-)
-cell_shift = element(
-    "index.position_model",
-    "index.position_model.cell_shift",
-    lambda d, t: d.choice(range(CELL_INDEX + 1, 256) if t.sections[INDEX].mode else []),
-)
+reserved = element("index.reserved", "index.position_model.reserved[{}]", _of_models(range(3)), (1, 255))
+cell_shift = element("index.position_model", "index.position_model.cell_shift", _of_models(range(CELL_INDEX + 1, 256)))
 
 
 @fault("index.position_model", _model, lambda d, t, _: {d.integer(0, HALVES - 1): d.integer(1, 65535)})

@@ -64,13 +64,7 @@ def _fields(draw: Draw, t: Target) -> Drawn:
 
 model_field = element("weights.layer", "weights.{}.{}", _fields, base=any_grids)
 reserved = element(
-    "weights.reserved",
-    "weights.{}.reserved[{}]",
-    lambda d, t: d.choice(t.layers),
-    (0, 1),
-    (1, 255),
-    reported="weights.{}.reserved[0]",
-    base=any_grids,
+    "weights.reserved", "weights.{}.reserved[{}]", lambda d, t: d.choice(t.layers), (0, 1), (1, 255), base=any_grids
 )
 
 # --- faults of integers -----------------------------------------------------------------------------------------------

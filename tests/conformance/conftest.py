@@ -8,6 +8,7 @@ import pytest
 from c_program import COMPILER, Program, compiled
 from decoders import Decoders, started
 from small_suite import Suite, build
+from web_program import Decoder, running
 
 
 @pytest.fixture(scope="session")
@@ -28,6 +29,13 @@ def c_decoder(decoders: Decoders) -> Program:
     if not isinstance(found, Program):
         pytest.skip("there is no C compiler here")
     return found
+
+
+@pytest.fixture(scope="session")
+def decoder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Decoder]:
+    """The decoder in WebAssembly and JavaScript."""
+    with running(tmp_path_factory.mktemp("web")) as process:
+        yield process
 
 
 @pytest.fixture(scope="session")

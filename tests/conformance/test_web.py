@@ -12,13 +12,12 @@ import shlex
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 from hostile_files import FILES, GREEDY, SCENES, cuts
-from web_program import MISSING, NODE, PACKAGE, PROGRAM, WEB, Decoder, running
+from web_program import MISSING, NODE, PACKAGE, PROGRAM, WEB, Decoder
 
 from conformance import cli
 from conformance.cases.target import Target
@@ -34,12 +33,6 @@ pytestmark = [
     pytest.mark.no_cover,
     pytest.mark.skipif(NODE is None, reason=MISSING),
 ]
-
-
-@pytest.fixture(scope="module")
-def decoder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Decoder]:
-    with running(tmp_path_factory.mktemp("web")) as process:
-        yield process
 
 
 # ------------------------------------------------------------------------------------------------------- verdicts ---

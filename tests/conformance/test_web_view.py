@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import struct
 import subprocess
-from collections.abc import Iterator
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,7 @@ from hostile_files import FILES, SCENES, UNDRAWN
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from random_scenes import random_scene
-from web_program import MISSING, NODE, PROGRAM, Decoder, running
+from web_program import MISSING, NODE, PROGRAM, Decoder
 
 from conformance.cases import static
 from conformance.cases.scenes import MAIN_DIMENSIONS
@@ -47,12 +46,6 @@ TYPES = {
 }
 MANIFEST = load(VECTORS / "manifest.json")
 VALID = [v for v in MANIFEST.vectors if v.operation == "decode" and v.klass == "valid"]
-
-
-@pytest.fixture(scope="module")
-def decoder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Decoder]:
-    with running(tmp_path_factory.mktemp("web")) as process:
-        yield process
 
 
 # ----------------------------------------------------------------------------------------------------- Gaussians ---
