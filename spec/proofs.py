@@ -301,10 +301,8 @@ def _fields(_: Proof, b: dict[str, Any]) -> None:
     size = Path.now.take(lambda: [1, 2, 4, 8])
     data = Many(8, lambda: fresh(0, 255, "byte"))
     unsigned, signed, half = b["U"](data, 0, size), b["I"](data, 0, size), 1 << 8 * size - 1
-    Path.now.oblige(unsigned >= 0, "U")
-    Path.now.oblige(unsigned < 2 * half, "U")
-    Path.now.oblige(signed >= -half, "I")
-    Path.now.oblige(signed < half, "I")
+    Path.now.within(unsigned, 0, 2 * half, "U")
+    Path.now.within(signed, -half, half, "I")
 
 
 def bit_length(a: Any) -> int:
@@ -420,8 +418,7 @@ def _network(proof: Proof, b: dict[str, Any]) -> None:
     products = sum([x * a for x, a in zip(w, inputs, strict=True)])
     half = quotient(proof.shift(site, 1, e, True), 2)
     for partial in (products, products + bias, products + half, products + bias + half):
-        path.oblige(partial <= row.bound, "a partial sum")
-        path.oblige(partial >= -row.bound, "a partial sum")
+        path.within(partial, -row.bound, row.bound + 1, "a partial sum")
     path.oblige(row.bound < 1 << 24, "binary32 does not represent each sum")
 
 
@@ -521,8 +518,7 @@ def _bits(_: Proof, b: dict[str, Any]) -> None:
     at = path.take(lambda: list(range(8)))
     stream = {"raw": Many(1 << 48, lambda: fresh(0, 255, "byte")), "raw_at": at}
     value = b["READ_BITS"](stream, k)
-    path.oblige(value >= 0, "READ_BITS")
-    path.oblige(value < 1 << k, "READ_BITS")
+    path.within(value, 0, 1 << k, "READ_BITS")
     path.oblige(stream["raw_at"] == at + k, "raw_at")
 
 
@@ -593,8 +589,7 @@ def _decode_symbol(_: Proof, b: dict[str, Any]) -> None:
     path = Path.now
     x, word = fresh(b["STATE_MIN"], (1 << 32) - 1, "state"), fresh(0, 0xFFFF, "word")
     decoded, x, _words = symbol(b, x, word, model(b, 1 << b["PRECISION"]))
-    path.oblige(x >= b["STATE_MIN"], "a state below STATE_MIN")
-    path.oblige(x < 1 << 32, "a state of 2^32 or more")
+    path.within(x, b["STATE_MIN"], 1 << 32, "a state")
     assert decoded in (0, 1, 2)
 
 
@@ -619,8 +614,7 @@ def _rans(proof: Proof, b: dict[str, Any]) -> None:
         word, words = start & int(mask, 0), 1
         names["x"] = start >> int(amount)
     x = eval(step, {}, names)
-    path.oblige(x >= b["STATE_MIN"], "the encoder's state is below STATE_MIN")
-    path.oblige(x < 1 << 32, "the encoder's state is 2^32 or more")
+    path.within(x, b["STATE_MIN"], 1 << 32, "the encoder's state")
     decoded, back, taken = symbol(b, x, word, frequencies)
     path.oblige(decoded == 1, "another symbol")
     path.oblige(taken == words, "the decoder takes a word that the encoder has not put out, or leaves one")
@@ -645,8 +639,7 @@ def _cells(proof: Proof, b: dict[str, Any]) -> None:
     b |= {"CELL_LEVELS": 1, "DECODE_GROUP": lambda _, models: [15 for _ in models]}
     children, _ = b["DECODE_CELLS"]({"symbols": []}, [None] * b["POSITION_MODELS"], 99)
     for c in (c for child in children for c in child):
-        path.oblige(c >= 0, "a coordinate")
-        path.oblige(c < 2 << done, "a coordinate")
+        path.within(c, 0, 2 << done, "a coordinate")
     proof.quantity(MORTON, builtins.len(children) ** levels - 1)
 
 
@@ -665,8 +658,7 @@ def _packed(_: Proof, b: dict[str, Any]) -> None:
 def _exponential(proof: Proof, b: dict[str, Any]) -> None:
     path = Path.now
     m, n = b["EXPONENTIAL"](fresh(-b["SCALING_BOUND"], b["SCALING_BOUND"], "t"))
-    path.oblige(m >= 1 << 30, "m is below 2^30")
-    path.oblige(m < 1 << 31, "m is 2^31 or more")
+    path.within(m, 1 << 30, 1 << 31, "m")
     proof.limit("n", n)
 
 

@@ -363,6 +363,11 @@ class Path:
             example = ", ".join(sorted(f"{d}={inputs[d]}" for d in inputs if "!" in str(d)))[:300] if inputs else ""
             raise UnprovedError(f"{text}{example and ' with '}{example}")
 
+    def within(self, x: Any, low: Any, below: Any, text: str) -> None:
+        """Obliges low <= x < below."""
+        self.oblige(x >= low, f"{text}: below {low}")
+        self.oblige(x < below, f"{text}: {below} or above")
+
     def must(self, truth: Any) -> None:
         """Assumes a condition: other inputs are refused."""
         if isinstance(truth, Truth):

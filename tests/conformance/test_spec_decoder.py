@@ -137,11 +137,3 @@ def test_its_statuses_are_those_of_the_project() -> None:
     """It may not import them."""
     own = second_main.REJECTED, second_main.UNSUPPORTED, second_main.USAGE_ERROR
     assert own == (statuses.REJECTED, statuses.UNSUPPORTED, statuses.USAGE)
-
-
-def test_command_in_a_process_of_its_own() -> None:
-    words = [sys.executable, "-m", "conformance.spec_decoder", "digest", EXAMPLE]
-    done = subprocess.run(words, capture_output=True, text=True, check=False, cwd=ROOT)
-    assert (done.returncode, done.stderr) == (0, "")
-    assert done.stdout == f"whole  {reconstruction.digest(codec.parse(EXAMPLE.read_bytes()).scene)[0]}\n"
-    assert subprocess.run(words[:3], capture_output=True, check=False, cwd=ROOT).returncode == statuses.USAGE
