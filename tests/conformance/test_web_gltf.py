@@ -104,16 +104,21 @@ def test_other_files_are_refused(files: Path, tmp_path: Path, capsys: pytest.Cap
         assert not (tmp_path / output).exists()
 
 
+def view(**changes: Any) -> Callable[..., Any]:
+    """A change of the buffer view of the scene."""
+    return lambda root, _: root["bufferViews"][0].update(changes)
+
+
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        (lambda root, _: root["bufferViews"][0].update(byteOffset=-4), "byteOffset in its chunk JSON is wrong"),
-        (lambda root, _: root["bufferViews"][0].update(byteLength=1 << 60), "byteLength in its chunk JSON is wrong"),
-        (lambda root, _: root["bufferViews"][0].update(byteLength=-1), "byteLength in its chunk JSON is wrong"),
-        (lambda root, _: root["bufferViews"][0].update(byteLength=1 << 20), "outside the binary chunk"),
-        (lambda root, _: root["bufferViews"][0].update(byteOffset=0.5), "byteOffset in its chunk JSON is wrong"),
-        (lambda root, _: root["bufferViews"][0].update(byteOffset=4, byteLength=96), "is not a C3GS file"),
-        (lambda root, _: root["bufferViews"][0].update(buffer=1), "in another file"),
+        (view(byteOffset=-4), "byteOffset in its chunk JSON is -4: an integer >= 0"),
+        (view(byteLength=1 << 60), "byteLength in its chunk JSON is 1152921504606846976: an integer <="),
+        (view(byteLength=-1), "byteLength in its chunk JSON is -1: an integer >= 0"),
+        (view(byteLength=1 << 20), "outside the binary chunk"),
+        (view(byteOffset=0.5), "byteOffset in its chunk JSON is 0.5: an integer"),
+        (view(byteOffset=4, byteLength=96), "is not a C3GS file"),
+        (view(buffer=1), "in another file"),
         (lambda root, _: root["buffers"][0].update(uri="a.bin"), "in another file"),
         (lambda root, _: root.update(bufferViews={}), "has no bufferViews/0/byteLength"),
         (
@@ -122,7 +127,7 @@ def test_other_files_are_refused(files: Path, tmp_path: Path, capsys: pytest.Cap
         ),
         (lambda root, _: root["meshes"].append({"primitives": [{"extensions": [0]}, 1]}), None),
         (lambda root, own: root["meshes"].append({"primitives": [own, own]}), None),
-        (lambda root, _: root.update(meshes=0), "meshes in its chunk JSON is wrong"),
+        (lambda root, _: root.update(meshes=0), "meshes in its chunk JSON is 0: a list"),
     ],
 )
 def test_other_json(
