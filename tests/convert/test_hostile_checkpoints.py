@@ -27,6 +27,8 @@ from refcodec.convert.tensors import read_state_dicts, read_torchscript  # noqa:
 from refcodec.folder.layout import SceneFolderError  # noqa: E402
 
 Captured = pytest.CaptureFixture[str]
+# Changes a file of networks. The second argument is the folder that hostile code would make.
+Harm = Callable[[Path, Path], Any]
 PLACE = Path("point_cloud", "iteration_30000")
 UNITED, SPLIT = LAYOUTS["hac"], LAYOUTS["scaffold, split"]
 # The layouts, each with a file of its networks.
@@ -87,16 +89,9 @@ def repacked(file: Path, changes: dict[str, bytes], form: int = zipfile.ZIP_STOR
 # --- archives and pickles, in both layouts ----------------------------------------------------------------------------
 
 
-def pickled(data: bytes) -> Callable[[Path, Path], None]:
-    return lambda file, run: repacked(file, {"data.pkl": data})
-
-
-def harmful(protocol: int) -> Callable[[Path, Path], None]:
-    return lambda file, run: repacked(file, {"data.pkl": pickle.dumps(Called(run), protocol)})
-
-
-def compressed(entry: str) -> Callable[[Path, Path], None]:
-    return lambda file, run: repacked(file, {entry: bytes(200 << 20)}, zipfile.ZIP_DEFLATED)
+def replaced(data: bytes | Callable[[Path], bytes], entry: str = "data.pkl", form: int = zipfile.ZIP_STORED) -> Harm:
+    """A change of an entry. data: its new bytes, or a function of the folder that returns them."""
+    return lambda file, run: repacked(file, {entry: data if isinstance(data, bytes) else data(run)}, form)
 
 
 def twice(file: Path, run: Path) -> None:
@@ -119,36 +114,25 @@ def many_entries(file: Path, run: Path) -> None:
     file.write_bytes(data[:start] + count * data[start:end] + tail)
 
 
-def doubled(times: int) -> bytes:
-    """Opcodes that leave a tuple of tuples of tuples, each twice the one before. To hash or show it takes forever."""
-    return b")" + b"q\x00h\x00\x86" * times
-
-
-# A change of a file of networks, and the reasons of the refusal.
-HARMS: dict[str, tuple[Callable[[Path, Path], None], tuple[str, ...]]] = {
-    "code 0": (harmful(0), ("its pickle",)),
-    "code 2": (harmful(2), ("its pickle names posix mkdir", "nothing of it was run")),
-    "code 4": (harmful(4), ("its pickle",)),
-    # As torch wrote before 1.6.
-    "a plain pickle": (lambda file, run: file.write_bytes(pickle.dumps(Called(run))), ("not a zip archive",)),
-    "code by torch": (lambda file, run: torch.save({"cov_mlp": Called(run)}, file), ("its pickle names posix mkdir",)),
-    "memory": (lambda file, run: torch.save(Called(None), file), ("names",)),
-    "memory of a network": (lambda file, run: torch.save({"opacity_mlp": Called(None)}, file), ("names",)),
-    "a bomb for a pickle": (compressed("data.pkl"), ("is compressed",)),
-    "a bomb for a tensor": (compressed("data/0"), ("is compressed",)),
-    "big endian": (lambda file, run: repacked(file, {"byteorder": b"big"}), ("little-endian",)),
-    "twice": (twice, ("two of its entries have the same name",)),
-    "many entries": (many_entries, ("directory has more than",)),
-    "a key": (pickled(b"\x80\x02}" + doubled(80) + b"K\x01s."), ("its pickle",)),
-    "a built key": (pickled(b"\x80\x02}}" + doubled(80) + b"K\x01sb."), ("its pickle",)),
-    "a function": (pickled(b"\x80\x02" + doubled(80) + b")R."), ("its pickle",)),
-    "a shape": (
-        pickled(b"\x80\x02ctorch._utils\n_rebuild_tensor_v2\n(" + doubled(80) + b"h\x00h\x00h\x00tR."),
-        ("its pickle",),
+BOMB = bytes(200 << 20)
+# A change of a file of networks, and the reason of the refusal.
+HARMS: dict[str, tuple[Harm, str]] = {
+    "code 0": (replaced(lambda run: pickle.dumps(Called(run), 0)), "its pickle"),
+    "code 2": (
+        replaced(lambda run: pickle.dumps(Called(run), 2)),
+        "its pickle names posix mkdir, which is not a tensor: nothing of it was run",
     ),
-    # Deeper than Python's stack.
-    "a deep key": (pickled(b"\x80\x02})" + b"\x85" * 100_000 + b"K\x01s."), ("its pickle",)),
-    "a deep function": (pickled(b"\x80\x02)" + b"\x85" * 100_000 + b")R."), ("its pickle",)),
+    "code 4": (replaced(lambda run: pickle.dumps(Called(run), 4)), "its pickle"),
+    # As torch wrote before 1.6.
+    "a plain pickle": (lambda file, run: file.write_bytes(pickle.dumps(Called(run))), "not a zip archive"),
+    "code by torch": (lambda file, run: torch.save({"cov_mlp": Called(run)}, file), "its pickle names posix mkdir"),
+    "memory": (lambda file, run: torch.save(Called(None), file), "names"),
+    "memory of a network": (lambda file, run: torch.save({"opacity_mlp": Called(None)}, file), "names"),
+    "a bomb for a pickle": (replaced(BOMB, "data.pkl", zipfile.ZIP_DEFLATED), "is compressed"),
+    "a bomb for a tensor": (replaced(BOMB, "data/0", zipfile.ZIP_DEFLATED), "is compressed"),
+    "big endian": (replaced(b"big", "byteorder"), "little-endian"),
+    "twice": (twice, "two of its entries have the same name"),
+    "many entries": (many_entries, "directory has more than"),
 }
 
 
@@ -156,10 +140,10 @@ HARMS: dict[str, tuple[Callable[[Path, Path], None], tuple[str, ...]]] = {
 @pytest.mark.parametrize("harm", HARMS)
 def test_harm(layout: Any, name: str, harm: str, tmp_path: Path, capsys: Captured) -> None:
     file = Model(layout).write(tmp_path / "model") / name
-    change, reasons = HARMS[harm]
+    change, reason = HARMS[harm]
     change(file, tmp_path / "run")
-    assert_refused(tmp_path, capsys, name, *reasons)
-    assert all(reason in refusal(READERS[layout], file) for reason in reasons)
+    assert_refused(tmp_path, capsys, name, reason)
+    assert reason in refusal(READERS[layout], file)
 
 
 def test_code_of_a_script_is_not_run(tmp_path: Path) -> None:
@@ -177,11 +161,16 @@ def test_code_of_a_script_is_not_run(tmp_path: Path) -> None:
 # --- pickles by themselves --------------------------------------------------------------------------------------------
 
 INT, FLOATS = b"K\x01", b"(X\x07\x00\x00\x00storagectorch\nFloatStorage\nX\x01\x00\x00\x000X\x03\x00\x00\x00cpuK\x01tQ"
-REBUILD = b"ctorch._utils\n_rebuild_tensor_v2\n"
+MODULE, REBUILD = b"c__torch__\nModule\n", b"ctorch._utils\n_rebuild_tensor_v2\n"
 LARGE = b"\x8a\xfe" + b"\xff" * 253 + b"\x00"
 STATE = b"}q\x01(" + b"".join(b"J" + i.to_bytes(4, "little") + b"N" for i in range(9000)) + b"u"
-LONG_NAME = b"X" + (1 << 19).to_bytes(4, "little") + b"a" * (1 << 19)
+LONG_NAME = b")\x81}(X" + (1 << 19).to_bytes(4, "little") + b"a" * (1 << 19)
+FIELDS = b"".join(b"X\x01\x00\x00\x00" + bytes([97 + i]) + b"h\x01" for i in range(20))
 STORAGE = b"(X\x07\x00\x00\x00storagectorch\n" + b"x" * 100_000 + b"\nX\x01\x00\x00\x000X\x03\x00\x00\x00cpuK\x01tq\x05"
+# A tuple of tuples of tuples, each twice the one before. To hash or show it takes forever.
+DOUBLED = b")" + b"q\x00h\x00\x86" * 80
+# Tuples in each other, deeper than Python's stack.
+DEEP = b")" + b"\x85" * 100_000
 
 
 def rebuilt(shape: bytes, offset: bytes = INT) -> bytes:
@@ -190,45 +179,35 @@ def rebuilt(shape: bytes, offset: bytes = INT) -> bytes:
 
 
 # Opcodes, the refusal by the reader of scripts, and whether that of state dicts refuses them so, too.
-PICKLES: list[tuple[str, bytes, str, bool]] = [
+PICKLES: dict[str, tuple[bytes, str, bool]] = {
+    "a key": (b"}" + DOUBLED + b"K\x01s", "its pickle", True),
+    "a built key": (b"}}" + DOUBLED + b"K\x01sb", "its pickle", True),
+    "a function": (DOUBLED + b")R", "its pickle", True),
+    "a shape": (REBUILD + b"(" + DOUBLED + b"h\x00h\x00h\x00tR", "its pickle", True),
+    "a deep key": (b"}" + DEEP + b"K\x01s", "its pickle", True),
+    "a deep function": (DEEP + b")R", "its pickle", True),
     # One number of 2,032 bits stands for many sides, whose product grows with each.
-    ("sides", rebuilt(b"(" + LARGE + b"q\x02" + b"h\x02" * 4000 + b"t"), "damaged", True),
-    ("side", rebuilt(b"(" + LARGE + b"t"), "damaged", True),
-    ("offset", rebuilt(b"(K\x01t", offset=LARGE), "damaged", True),
-    ("dimensions", rebuilt(b"(" + INT * 70 + b"t"), "70 dimensions, but at most 5", True),
+    "sides": (rebuilt(b"(" + LARGE + b"q\x02" + b"h\x02" * 4000 + b"t"), "damaged", True),
+    "side": (rebuilt(b"(" + LARGE + b"t"), "damaged", True),
+    "offset": (rebuilt(b"(K\x01t", offset=LARGE), "damaged", True),
+    "dimensions": (rebuilt(b"(" + INT * 70 + b"t"), "70 dimensions, but at most 5", True),
     # One shape of many sides stands for those of many tensors.
-    (
-        "shapes",
-        b"(" + INT * 20_000 + b"tq\x07" + (REBUILD + b"(" + FLOATS + INT + b"h\x07h\x07tR") * 4000,
-        "20000 dimensions",
-        True,
-    ),
+    "shapes": (b"(" + INT * 20_000 + b"tq\x07" + rebuilt(b"h\x07") * 4000, "20000 dimensions", True),
     # One state is put into one list again and again.
-    ("states", STATE + b"]" + b"h\x01b" * 9000, "damaged", True),
+    "states": (STATE + b"]" + b"h\x01b" * 9000, "damaged", True),
     # Names of parts are joined. A long one would be joined with each of thousands.
-    (
-        "long names",
-        b"c__torch__\nModule\n)\x81}(" + LONG_NAME + b"}(X\x01\x00\x00\x00b}uub",
-        "a name of more than 256 characters",
-        False,
-    ),
+    "long names": (MODULE + LONG_NAME + b"}(X\x01\x00\x00\x00b}uub", "a name of more than 256 characters", False),
     # Fields can be each other's. They are looked at a bounded number of times.
-    (
-        "itself",
-        b"c__torch__\nModule\nq\x00)\x81q\x01}("
-        + b"".join(b"X\x01\x00\x00\x00" + bytes([97 + i]) + b"h\x01" for i in range(20))
-        + b"ub",
-        "more than 4096 fields",
-        False,
-    ),
+    "itself": (MODULE + b"q\x00)\x81q\x01}(" + FIELDS + b"ub", "more than 4096 fields", False),
     # Each mark takes nothing of what is below it. The name of a storage is as long as the pickle allows.
-    ("marks", b"N" * 100_000 + b"(t" * 100_000 + b"}", "", True),
-    ("names", STORAGE + b"h\x05Q" * 100_000 + b"}", "", False),
-]
+    "marks": (b"N" * 100_000 + b"(t" * 100_000 + b"}", "", True),
+    "names": (STORAGE + b"h\x05Q" * 100_000 + b"}", "", False),
+}
 
 
-@pytest.mark.parametrize(("opcodes", "reason", "both"), [row[1:] for row in PICKLES], ids=[row[0] for row in PICKLES])
-def test_pickles_are_bounded(opcodes: bytes, reason: str, both: bool, tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", PICKLES)
+def test_pickles_are_bounded(name: str, tmp_path: Path) -> None:
+    opcodes, reason, both = PICKLES[name]
     with zipfile.ZipFile(tmp_path / "a.pt", "w") as archive:
         archive.writestr("a/data.pkl", b"\x80\x02" + opcodes + b".")
     for layout in (SPLIT, UNITED) if both else (SPLIT,):
