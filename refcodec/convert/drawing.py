@@ -49,4 +49,4 @@ def drawn(
     highest = degree_of(rest.shape[1]) if degree is None else degree
     colour = colours(base, rest, mean, torch.from_numpy(camera.centre.astype(np.float32)), highest)
     lengths, opacity = splats["scale"].exp(), torch.sigmoid(splats["opacity"])
-    return draw(mean, normalize(splats["quaternion"]), lengths, opacity, colour, camera, settings, screen)
+    return draw((mean, normalize(splats["quaternion"]), lengths, opacity, colour), camera, settings, screen)

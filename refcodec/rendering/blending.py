@@ -33,17 +33,9 @@ def blend_tiles(
     columns = (width + TILE_WIDTH - 1) // TILE_WIDTH
     for t in prange(tile_begin.shape[0] - 1):
         x0, y0 = t % columns * TILE_WIDTH, t // columns * TILE_HEIGHT
-        _blend_tile(
-            record,
-            members[tile_begin[t] : tile_begin[t + 1]],
-            x0,
-            y0,
-            alpha_max,
-            background,
-            image[y0 : y0 + TILE_HEIGHT, x0 : x0 + TILE_WIDTH],
-            transmittance[y0 : y0 + TILE_HEIGHT, x0 : x0 + TILE_WIDTH],
-            last[y0 : y0 + TILE_HEIGHT, x0 : x0 + TILE_WIDTH],
-        )
+        y, x = slice(y0, y0 + TILE_HEIGHT), slice(x0, x0 + TILE_WIDTH)
+        own = members[tile_begin[t] : tile_begin[t + 1]]
+        _blend_tile(record, own, x0, y0, alpha_max, background, image[y, x], transmittance[y, x], last[y, x])
     return image, transmittance, last
 
 
@@ -145,19 +137,11 @@ def unblend_tiles(
     columns = (transmittance.shape[1] + TILE_WIDTH - 1) // TILE_WIDTH
     for t in prange(tile_begin.shape[0] - 1):
         x0, y0 = t % columns * TILE_WIDTH, t // columns * TILE_HEIGHT
-        _unblend_tile(
-            record,
-            members[tile_begin[t] : tile_begin[t + 1]],
-            x0,
-            y0,
-            alpha_max,
-            background,
-            transmittance[y0 : y0 + TILE_HEIGHT, x0 : x0 + TILE_WIDTH],
-            last[y0 : y0 + TILE_HEIGHT, x0 : x0 + TILE_WIDTH],
-            grad_image[y0 : y0 + TILE_HEIGHT, x0 : x0 + TILE_WIDTH],
-            grad_transmittance[y0 : y0 + TILE_HEIGHT, x0 : x0 + TILE_WIDTH],
-            sums[tile_begin[t] * SUMS : tile_begin[t + 1] * SUMS],
-        )
+        y, x = slice(y0, y0 + TILE_HEIGHT), slice(x0, x0 + TILE_WIDTH)
+        own = members[tile_begin[t] : tile_begin[t + 1]]
+        drawn, gradients = (transmittance[y, x], last[y, x]), (grad_image[y, x], grad_transmittance[y, x])
+        to = sums[tile_begin[t] * SUMS : tile_begin[t + 1] * SUMS]
+        _unblend_tile(record, own, x0, y0, alpha_max, background, *drawn, *gradients, to)
     return sums
 
 
@@ -202,13 +186,8 @@ def _unblend_tile(
     end = int(furthest.max()) + 1
     for j in range(end * SUMS, members.shape[0] * SUMS):
         sums[j] = 0
-    zero, one, floor, cap, least = (
-        splat(np.float32(0)),
-        splat(np.float32(1)),
-        splat(_FLOOR),
-        splat(alpha_max),
-        splat(LEAST),
-    )
+    zero, one = splat(np.float32(0)), splat(np.float32(1))
+    floor, cap, least = splat(_FLOOR), splat(alpha_max), splat(LEAST)
     reached = np.uint64(0)
     for k in range(end - 1, -1, -1):
         if k == end - 1 or k % LOOK == LOOK - 1:

@@ -69,12 +69,7 @@ def _axes(i: int, p: Any, quaternion: F32, view: Any, lens: Any) -> Any:
     slope_x, slope_y = min(max(p[0] * near, x_low), x_high), min(max(p[1] * near, y_low), y_high)
     row_x = _combine((fx * near, 0.0, -fx * near * slope_x), view)
     row_y = _combine((0.0, fy * near, -fy * near * slope_y), view)
-    w, x, y, z = (
-        np.float64(quaternion[i, 0]),
-        np.float64(quaternion[i, 1]),
-        np.float64(quaternion[i, 2]),
-        np.float64(quaternion[i, 3]),
-    )
+    w, (x, y, z) = np.float64(quaternion[i, 0]), _row3(quaternion[:, 1:], i)
     shrink = 1 / math.sqrt(w * w + x * x + y * y + z * z)
     w, x, y, z = w * shrink, x * shrink, y * shrink, z * shrink
     columns = (
@@ -210,12 +205,9 @@ def unproject_gaussians(
     gives it. begin, count, place: as in _Tape.
     """
     n = mean.shape[0]
-    d_mean, d_quaternion, d_scale = (
-        np.empty((n, 3), np.float32),
-        np.empty((n, 4), np.float32),
-        np.empty((n, 3), np.float32),
-    )
-    d_opacity, d_colour, screen = np.empty(n, np.float32), np.empty((n, 3), np.float32), np.empty(n, np.float32)
+    d_mean, d_quaternion = np.empty((n, 3), np.float32), np.empty((n, 4), np.float32)
+    d_scale, d_colour = np.empty((n, 3), np.float32), np.empty((n, 3), np.float32)
+    d_opacity, screen = np.empty(n, np.float32), np.empty(n, np.float32)
     fx, fy, _, _, x_low, x_high, y_low, y_high = lens
     for i in prange(n):
         if count[i] == 0:
@@ -253,10 +245,8 @@ def unproject_gaussians(
         # and along_x and along_y are row_x and row_y times the columns.
         s = _row3(scale, i)
         to_x, to_y = _scaled(s, along_x), _scaled(s, along_y)
-        d_to_x, d_to_y = (
-            _combine((twice_xx, d_xy, 0.0), (to_x, to_y, to_y)),
-            _combine((d_xy, twice_yy, 0.0), (to_x, to_y, to_y)),
-        )
+        d_to_x = _combine((twice_xx, d_xy, 0.0), (to_x, to_y, to_y))
+        d_to_y = _combine((d_xy, twice_yy, 0.0), (to_x, to_y, to_y))
         d_scale[i, 0] = d_to_x[0] * along_x[0] + d_to_y[0] * along_y[0]
         d_scale[i, 1] = d_to_x[1] * along_x[1] + d_to_y[1] * along_y[1]
         d_scale[i, 2] = d_to_x[2] * along_x[2] + d_to_y[2] * along_y[2]

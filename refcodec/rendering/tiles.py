@@ -143,12 +143,8 @@ def _tiles_of(i: int, record: F32, box: I32, columns: int, tiles: I32, begin: in
                 tiles[n] = row * columns + column
                 n += 1
         return n - begin
-    x, y, u_there, v_there = (
-        np.float64(record[i, 0]),
-        np.float64(record[i, 1]),
-        np.float64(record[i, 2]),
-        np.float64(record[i, 3]),
-    )
+    x, y = np.float64(record[i, 0]), np.float64(record[i, 1])
+    u_there, v_there = np.float64(record[i, 2]), np.float64(record[i, 3])
     c = np.float64(record[i, 6])
     lean, width = record[i, 5] / c, 1 / np.float64(record[i, 4])
     reach2 = max(np.float64(record[i, 7]) - LOG2_MIN, 0.0)

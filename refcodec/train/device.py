@@ -16,6 +16,8 @@ from ..rendering.camera import Camera, check_camera
 if TYPE_CHECKING:
     from ..rendering.rasterise import Settings
 
+# Mean, quaternion, lengths, opacity and colour of some Gaussians.
+Gaussians = tuple[Tensor, Tensor, Tensor, Tensor, Tensor]
 # An image, the transmittance that reaches the background, and radii in pixels.
 Drawn = tuple[Tensor, Tensor, Tensor]
 
@@ -51,16 +53,7 @@ def check_one_device(*tensors: Tensor) -> str:
     return kind
 
 
-def draw_on_gpu(
-    mean: Tensor,
-    quaternion: Tensor,
-    scale: Tensor,
-    opacity: Tensor,
-    colour: Tensor,
-    camera: Camera,
-    settings: Settings,
-    screen: Tensor | None,
-) -> Drawn:
+def draw_on_gpu(gaussians: Gaussians, camera: Camera, settings: Settings, screen: Tensor | None) -> Drawn:
     """splat.draw by gsplat 1.5.3, which is compiled for the GPU when it is first imported.
 
     Shapes and units are those of splat.draw. The image is that of refcodec.rendering except for these constants:
@@ -77,29 +70,25 @@ def draw_on_gpu(
     import gsplat  # noqa: PLC0415
 
     check_camera(camera)
-    view, lens = torch.eye(4), torch.eye(3)
+    device, view, lens = gaussians[0].device, torch.eye(4), torch.eye(3)
     view[:3, :3], view[:3, 3] = torch.from_numpy(camera.rotation), torch.from_numpy(camera.translation)
     lens[0, 0], lens[1, 1], lens[0, 2], lens[1, 2] = camera.fx, camera.fy, camera.cx, camera.cy
     image, covered, info = gsplat.rasterization(
-        mean.float(),
-        quaternion.float(),
-        scale.float(),
-        opacity.float(),
-        colour.float(),
-        view[None].to(mean.device),
-        lens[None].to(mean.device),
+        *(values.float() for values in gaussians),
+        view[None].to(device),
+        lens[None].to(device),
         camera.width,
         camera.height,
         near_plane=settings.near_plane,
         eps2d=settings.low_pass,
         packed=False,
-        backgrounds=torch.tensor([settings.background], device=mean.device),
+        backgrounds=torch.tensor([settings.background], device=device),
         rasterize_mode="classic",
     )
     place = info["means2d"]
     if screen is not None and screen.requires_grad and place.requires_grad:
         # As Gradients.screen: in an image that is 2 wide and 2 high.
-        half = torch.tensor([camera.width / 2, camera.height / 2], device=mean.device)
+        half = torch.tensor([camera.width / 2, camera.height / 2], device=device)
 
         def add(gradient: Tensor) -> None:
             length = torch.linalg.vector_norm(gradient[0] * half, dim=-1).to(screen.dtype)

@@ -17,6 +17,7 @@ from ..rendering.camera import Camera
 from ..rendering.constants import ALPHA_MIN
 from ..rendering.gaussians import check_view_dependent
 from .continued import Beginning, beginning
+from .device import Gaussians
 from .fit_input import Given
 from .rate_model.columns import Columns
 from .rate_model.model import OFFSETS
@@ -31,9 +32,6 @@ I64 = NDArray[np.int64]
 
 # The tables of the anchors.
 TABLES = ("features", "offsets", "scalings", "masks")
-
-# Mean, quaternion, lengths, opacity and colour of some Gaussians.
-Gaussians = tuple[Tensor, Tensor, Tensor, Tensor, Tensor]
 
 
 class Scaffold:

@@ -8,11 +8,11 @@ import torch
 
 from ..rendering.camera import Camera
 from ..rendering.rasterise import Settings, rasterise, rasterise_backward
-from .device import Drawn, check_one_device, draw_on_gpu
+from .device import Drawn, Gaussians, check_one_device, draw_on_gpu
 
 
 class Rasterise(torch.autograd.Function):
-    """Rasterise.apply(mean, quaternion, scale, opacity, colour, camera, settings, screen).
+    """Rasterise.apply(camera, settings, screen, mean, quaternion, scale, opacity, colour).
 
     Returns image, transmittance and radius, which has no gradient. Shapes, units and errors are those of
     refcodec.rendering.rasterise.rasterise, whose arrays the results share. All tensors are on the CPU and are read as
@@ -24,21 +24,12 @@ class Rasterise(torch.autograd.Function):
 
     @staticmethod
     def forward(
-        ctx: Any,
-        mean: torch.Tensor,
-        quaternion: torch.Tensor,
-        scale: torch.Tensor,
-        opacity: torch.Tensor,
-        colour: torch.Tensor,
-        camera: Camera,
-        settings: Settings | None = None,
-        screen: torch.Tensor | None = None,
+        ctx: Any, camera: Camera, settings: Settings | None, screen: torch.Tensor | None, *gaussians: torch.Tensor
     ) -> Drawn:
-        inputs = (mean, quaternion, scale, opacity, colour)
-        m, q, s, o, c = (v.detach().numpy() for v in inputs)
-        rendering = rasterise(m, q, s, o, c, camera, settings)
+        mean, quaternion, scale, opacity, colour = (v.detach().numpy() for v in gaussians)
+        rendering = rasterise(mean, quaternion, scale, opacity, colour, camera, settings)
         # Saved for torch's check that nobody changed them in place meanwhile; the rendering reads the same memory.
-        ctx.save_for_backward(*inputs)
+        ctx.save_for_backward(*gaussians)
         ctx.rendering = rendering
         radius = torch.from_numpy(rendering.radius)
         ctx.mark_non_differentiable(radius)
@@ -49,23 +40,14 @@ class Rasterise(torch.autograd.Function):
     def backward(
         ctx: Any, grad_image: torch.Tensor, grad_transmittance: torch.Tensor, _: torch.Tensor
     ) -> tuple[torch.Tensor | None, ...]:
-        inputs = ctx.saved_tensors
         g = rasterise_backward(ctx.rendering, grad_image.numpy(), grad_transmittance.numpy())
         values = (g.mean, g.quaternion, g.scale, g.opacity, g.colour)
-        gradients = tuple(torch.from_numpy(v).to(i.dtype) for v, i in zip(values, inputs, strict=True))
-        screen = torch.from_numpy(g.screen) if ctx.needs_input_grad[7] else None
-        return (*gradients, None, None, screen)
+        gradients = (torch.from_numpy(v).to(i.dtype) for v, i in zip(values, ctx.saved_tensors, strict=True))
+        return None, None, torch.from_numpy(g.screen) if ctx.needs_input_grad[2] else None, *gradients
 
 
 def draw(
-    mean: torch.Tensor,
-    quaternion: torch.Tensor,
-    scale: torch.Tensor,
-    opacity: torch.Tensor,
-    colour: torch.Tensor,
-    camera: Camera,
-    settings: Settings | None = None,
-    screen: torch.Tensor | None = None,
+    gaussians: Gaussians, camera: Camera, settings: Settings | None = None, screen: torch.Tensor | None = None
 ) -> Drawn:
     """Draws Gaussians on the tensors' device.
 
@@ -75,8 +57,7 @@ def draw(
 
     Raises ValueError for tensors on different devices or on one that is neither, and as Rasterise does.
     """
-    kind = check_one_device(mean, quaternion, scale, opacity, colour, *([] if screen is None else [screen]))
-    if kind == "cpu":
-        drawn: Drawn = Rasterise.apply(mean, quaternion, scale, opacity, colour, camera, settings, screen)
+    if check_one_device(*gaussians, *([] if screen is None else [screen])) == "cpu":
+        drawn: Drawn = Rasterise.apply(camera, settings, screen, *gaussians)
         return drawn
-    return draw_on_gpu(mean, quaternion, scale, opacity, colour, camera, settings or Settings(), screen)
+    return draw_on_gpu(gaussians, camera, settings or Settings(), screen)

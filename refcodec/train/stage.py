@@ -180,4 +180,4 @@ class Run:
         for stage in self.stages:
             stage.show(sight)
         _, gaussians, _ = self.scaffold.gaussians(rows, camera, sight.values, sight.masks)
-        return draw(*gaussians, camera, self.drawing)[0].clamp(0, 1)
+        return draw(gaussians, camera, self.drawing)[0].clamp(0, 1)

@@ -131,7 +131,7 @@ class Trainer(Run):
         chosen, gaussians, opacity = self.scaffold.gaussians(step.rows, step.camera, step.values, step.masks)
         screen = torch.zeros(len(chosen), device=self.device, requires_grad=True)
         step.chosen, step.opacity, step.screen = chosen, opacity, screen
-        image, _, _ = draw(*gaussians, step.camera, self.drawing, screen)
+        image, _, _ = draw(gaussians, step.camera, self.drawing, screen)
         return image, gaussians[2].prod(dim=1).mean() if len(chosen) else None
 
     def run(self, watch: Watch, keep: Callable[[], None] | None = None) -> bool:

@@ -36,7 +36,7 @@ def show(scaffold: Scaffold, drawing: Settings, scene: Scene, camera: Camera) ->
         g = gaussians_of(scene, camera)
         moved = (g.mean - units.origin) / units.length, g.quaternion, g.lengths / units.length, g.opacity, g.colour
         mean, quaternion, lengths, opacity, rgb = (torch.from_numpy(v.astype(np.float32)).to(device) for v in moved)
-        return draw(mean, quaternion, lengths, opacity, rgb, units.camera(camera), drawing)[0].clamp(0, 1)
+        return draw((mean, quaternion, lengths, opacity, rgb), units.camera(camera), drawing)[0].clamp(0, 1)
     held = copy(scaffold)
     held.lattice = scene.positions.astype(np.int64)
     held.place()
@@ -49,4 +49,4 @@ def show(scaffold: Scaffold, drawing: Settings, scene: Scene, camera: Camera) ->
     values = {name: torch.from_numpy(value).to(device) for name, value in attributes.items()}
     camera, rows = units.camera(camera), torch.arange(scene.anchor_count, device=device)
     _, gaussians, _ = held.gaussians(rows, camera, values, torch.from_numpy(scene.masks).float().to(device))
-    return draw(*gaussians, camera, drawing)[0].clamp(0, 1)
+    return draw(gaussians, camera, drawing)[0].clamp(0, 1)

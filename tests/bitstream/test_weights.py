@@ -85,14 +85,9 @@ def test_exponents_that_are_not_the_least(spec: dict, data: st.DataObject) -> No
     """What the text refuses, and nothing else, is refused."""
     rows = data.draw(st.integers(1, 4))
     small = st.integers(-3, 3)
-    exponent, difference = (
-        data.draw(st.sampled_from([0, 0, 5, -104, 149])),
-        data.draw(hnp.arrays(np.int64, rows, elements=small)),
-    )
-    weight, bias = (
-        data.draw(hnp.arrays(np.int64, (rows, 2), elements=small)),
-        data.draw(hnp.arrays(np.int64, rows, elements=small)),
-    )
+    exponent = data.draw(st.sampled_from([0, 0, 5, -104, 149]))
+    shapes = rows, (rows, 2), rows
+    difference, weight, bias = (data.draw(hnp.arrays(np.int64, shape, elements=small)) for shape in shapes)
     text = spec["PACKED_LAYER"](exponent, difference.tolist(), weight.tolist(), bias.tolist())
     grid = type(to_grid((np.zeros((1, 1), np.float32), np.zeros(1, np.float32))))(exponent, difference, weight, bias)
     layer = from_grid(grid)
@@ -152,11 +147,8 @@ def test_a_scene_of_grids() -> None:
     for kind in ("features", "scalings", "offsets", "steps"):
         assert np.array_equal(getattr(parsed.attributes, kind), getattr(scene.attributes, kind))
     for name, layers in small.networks.items():
-        assert all(
-            same_bits(a, b)
-            for x, y in zip(layers, parsed.networks[name], strict=True)
-            for a, b in zip(x, y, strict=True)
-        )
+        for x, y in zip(layers, parsed.networks[name], strict=True):
+            assert all(same_bits(a, b) for a, b in zip(x, y, strict=True))
     assert packed(parsed, "raw", None).weight_scales is parsed.weight_scales
     assert packed(scene, "raw", "raw").weight_scales is None
     assert packed(scene, "raw", None).weight_scales is not None

@@ -356,11 +356,6 @@ for threads in (1, 2, 3):
     assert len(set(digests)) == 1
 
 
-def test_no_torch() -> None:
-    code = "import sys, refcodec.rendering.rasterise; print('torch' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout == "False\n"
-
-
 def test_autograd() -> None:
     view = camera()
     values = scene(100, 50, view)
@@ -368,7 +363,7 @@ def test_autograd() -> None:
     screen = torch.zeros(100, requires_grad=True)
     expected = rasterise(**values, camera=view)
     for calls in (1, 2):
-        image, transmittance, radius = Rasterise.apply(*inputs, view, None, screen)
+        image, transmittance, radius = Rasterise.apply(view, None, screen, *inputs)
         np.testing.assert_array_equal(image.detach().numpy(), expected.image)
         np.testing.assert_array_equal(radius.numpy(), expected.radius)
         (image.square().sum() + transmittance.sum()).backward()
@@ -385,7 +380,7 @@ def test_autograd() -> None:
 def test_autograd_sees_changes_in_place() -> None:
     view = camera()
     inputs = [torch.from_numpy(v).requires_grad_() for v in scene(10, 51, view).values()]
-    image, transmittance, _ = Rasterise.apply(*inputs, view)
+    image, transmittance, _ = Rasterise.apply(view, None, None, *inputs)
     with torch.no_grad():
         transmittance.zero_()
         inputs[0].add_(1)
@@ -397,23 +392,23 @@ def drawn_with_gradients(draw: Any, inputs: list[torch.Tensor]) -> tuple[torch.T
     """Image, transmittance, radius, and the gradients of a loss by the five inputs and the screen, on the CPU."""
     inputs = [v.detach().requires_grad_() for v in inputs]
     screen = torch.zeros(len(inputs[0]), device=inputs[0].device, requires_grad=True)
-    image, transmittance, radius = draw(*inputs, camera(), Settings(background=(0.1, 0.2, 0.3)), screen)
+    image, transmittance, radius = draw(tuple(inputs), camera(), Settings(background=(0.1, 0.2, 0.3)), screen)
     (image.square().sum() + transmittance.sum()).backward()
     return tuple(v.detach().cpu() for v in (image, transmittance, radius, *(v.grad for v in (*inputs, screen))))
 
 
+def rasterised(gaussians: tuple[torch.Tensor, ...], *rest: Any) -> Any:
+    return Rasterise.apply(*rest, *gaussians)
+
+
 def test_draw_on_the_cpu() -> None:
     inputs = [torch.from_numpy(v) for v in scene(100, 52, camera()).values()]
-    for drawn, expected in zip(
-        drawn_with_gradients(splat.draw, inputs), drawn_with_gradients(Rasterise.apply, inputs), strict=True
-    ):
+    for drawn, expected in zip(*(drawn_with_gradients(d, inputs) for d in (splat.draw, rasterised)), strict=True):
         assert torch.equal(drawn, expected)
-    with pytest.raises(ValueError, match="meta"):
-        splat.draw(*inputs[:4], inputs[4].to("meta"), camera())
-    with pytest.raises(ValueError, match="meta"):
-        splat.draw(*(v.to("meta") for v in inputs), camera())
-    with pytest.raises(ValueError, match="meta"):
-        splat.draw(*inputs, camera(), None, torch.zeros(100, device="meta"))
+    there = tuple(v.to("meta") for v in inputs)
+    for some, screen in (((*inputs[:4], there[4]), None), (there, None), (inputs, torch.zeros(100, device="meta"))):
+        with pytest.raises(ValueError, match="meta"):
+            splat.draw(some, camera(), None, screen)
 
 
 def test_what_gsplat_is_given(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -439,13 +434,13 @@ def test_what_gsplat_is_given(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setitem(sys.modules, "gsplat", SimpleNamespace(rasterization=rasterization))
     inputs = [torch.from_numpy(v) for v in scene(60, 53, camera()).values()]
-    drawn, expected = drawn_with_gradients(device.draw_on_gpu, inputs), drawn_with_gradients(Rasterise.apply, inputs)
+    drawn, expected = (drawn_with_gradients(draw, inputs) for draw in (device.draw_on_gpu, rasterised))
     assert drawn[2].tolist() == list(range(1, 120, 2))
     for a, b in zip(drawn[:2] + drawn[3:], expected[:2] + expected[3:], strict=True):
         assert (a - b).norm() < 1e-4 * b.norm()
     screen = torch.zeros(60, requires_grad=True)
     for calls in (1, 2):
-        image, transmittance, _ = device.draw_on_gpu(*inputs, camera(), Settings(background=(0.1, 0.2, 0.3)), screen)
+        image, transmittance, _ = device.draw_on_gpu(inputs, camera(), Settings(background=(0.1, 0.2, 0.3)), screen)
         (image.square().sum() + transmittance.sum()).backward()
         assert (screen.grad - calls * expected[-1]).norm() < 1e-4 * calls * expected[-1].norm()
 
@@ -457,10 +452,7 @@ def test_draw_on_the_gpu() -> None:
     values = scene(500, 54, camera())
     values["opacity"] *= 0.95
     inputs = [torch.from_numpy(v) for v in values.values()]
-    drawn, expected = (
-        drawn_with_gradients(splat.draw, [v.cuda() for v in inputs]),
-        drawn_with_gradients(splat.draw, inputs),
-    )
+    drawn, expected = (drawn_with_gradients(splat.draw, given) for given in ([v.cuda() for v in inputs], inputs))
     assert (drawn[0] - expected[0]).abs().mean() < 1e-4
     assert (drawn[1] - expected[1]).abs().mean() < 1e-4
     assert ((drawn[2] > 0) | (expected[2] == 0)).all()

@@ -16,8 +16,9 @@ pytest.importorskip("numba")
 
 from refcodec.bitstream.scene import Scene
 from refcodec.cli.main import main
+from refcodec.convert.views import transforms
 from refcodec.photographs.photographs import PhotographSet, read_photographs
-from refcodec.rendering.camera import looking
+from refcodec.rendering.camera import Camera, looking
 from refcodec.train.settings import TrainSettings
 from refcodec.train.settings_file import varied
 from refcodec.train.trainer import Trainer
@@ -81,26 +82,23 @@ def write_ball(tmp_path: Path) -> Callable[[str, str], PhotographSet]:
     """
 
     def write(name: str, mode: str) -> PhotographSet:
-        folder, size, focal = tmp_path / name, 48, 24 / math.tan(0.35)
+        folder, size, focal, middle = tmp_path / name, 48, 24 / math.tan(0.35), np.array([0.2, 0, 0])
         folder.mkdir()
-        frames = []
+        cameras = []
         row, column = np.mgrid[:size, :size] + 0.5
+        rays = np.stack([(column - size / 2) / focal, (row - size / 2) / focal, np.ones_like(row)], axis=2)
+        rays /= np.linalg.norm(rays, axis=2, keepdims=True)
         for number in range(24):
             turn = 2 * math.pi * number / 24
             centre = 4.0 * np.array([math.cos(turn), math.sin(turn), 0.6 * math.sin(3 * turn)])
             rotation = looking(-centre, np.array([0.0, 0.0, 1.0]))
-            ball = rotation @ (np.array([0.2, 0, 0]) - centre)
-            rays = np.stack([(column - size / 2) / focal, (row - size / 2) / focal, np.ones_like(row)], axis=2)
-            rays /= np.linalg.norm(rays, axis=2, keepdims=True)
-            hit = (ball**2).sum() - (rays @ ball) ** 2 < 0.5**2
+            ball = rotation @ (middle - centre)
             image = np.zeros((size, size, 4), np.uint8)
-            image[hit] = (200, 60, 20, 255)
-            Image.fromarray(image).convert(mode).save(folder / f"{number}.png")
-            matrix = np.eye(4)
-            matrix[:3, :3], matrix[:3, 3] = rotation.T * [1, -1, -1], centre
-            frames.append({"file_path": f"{number}.png", "transform_matrix": matrix.tolist()})
-        document = {"fl_x": focal, "fl_y": focal, "cx": size / 2, "cy": size / 2, "frames": frames}
-        (folder / "transforms.json").write_text(json.dumps(document))
+            image[(ball**2).sum() - (rays @ ball) ** 2 < 0.5**2] = (200, 60, 20, 255)
+            lens = focal, focal, size / 2, size / 2
+            cameras.append(Camera(f"{number}.png", size, size, *lens, rotation, -rotation @ centre))
+            Image.fromarray(image).convert(mode).save(folder / cameras[-1].name)
+        (folder / "transforms.json").write_text(json.dumps(transforms(cameras)))
         return read_photographs(folder)
 
     return write

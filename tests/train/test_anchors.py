@@ -82,7 +82,7 @@ def test_no_anchor_is_left_out_that_could_be_seen(photographs: PhotographSet, tr
         for anchors in (scaffold.visible(camera), torch.arange(scaffold.count)):
             values = {kind: table[anchors] for kind, table in scaffold.tables.items()}
             _, gaussians, _ = scaffold.gaussians(anchors, camera, values, None)
-            images.append(draw(*gaussians, camera, trained.drawing)[0].detach())
+            images.append(draw(gaussians, camera, trained.drawing)[0].detach())
         assert float((images[0] - images[1]).abs().max()) < 1e-3
     fresh = beginning(photographs, 500)
     # The camera looks the other way: no anchor is in front of it.

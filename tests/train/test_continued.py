@@ -18,12 +18,13 @@ from refcodec.bitstream.codec import parse  # noqa: E402
 from refcodec.bitstream.header import RenderInfo  # noqa: E402
 from refcodec.bitstream.reconstruction import Reconstruction  # noqa: E402
 from refcodec.cli.main import main  # noqa: E402
+from refcodec.convert.views import transforms  # noqa: E402
 from refcodec.encoder.cloud import AnchorCloud  # noqa: E402
 from refcodec.folder.uncompressed import Uncompressed, write_uncompressed  # noqa: E402
-from refcodec.photographs.photographs import read_photographs  # noqa: E402
+from refcodec.photographs.photographs import PhotographSet, read_photographs  # noqa: E402
 from refcodec.rendering.view import View, eight_bits  # noqa: E402
 from refcodec.train.continued import CONTINUED, MASKED, beginning, continued_settings  # noqa: E402
-from refcodec.train.fit_input import read_given  # noqa: E402
+from refcodec.train.fit_input import Given, read_given  # noqa: E402
 from refcodec.train.settings import PRESETS, Phase  # noqa: E402
 from refcodec.train.settings_file import varied  # noqa: E402
 from refcodec.train.trainer import Trainer  # noqa: E402
@@ -59,26 +60,28 @@ def model(voxel: float | None = VOXEL) -> Uncompressed:
 
 def photographed(scene: Uncompressed, folder: Path, count: int = 8) -> Path:
     """Photographs of a scene, in NeRF's format."""
-    view, frames = View(scene), []
+    view = View(scene)
+    cameras = [replace(own.resized(48, 48), name=f"{own.name}.png") for own in view.orbit(count)]
     folder.mkdir()
-    for number, camera in enumerate(own.resized(48, 48) for own in view.orbit(count)):
-        Image.fromarray(eight_bits(view.draw(camera))).save(folder / f"{number}.png")
-        matrix = np.eye(4)
-        matrix[:3, :3], matrix[:3, 3] = camera.rotation.T * (1, -1, -1), camera.centre
-        lens = {"fl_x": camera.fx, "fl_y": camera.fy, "cx": camera.cx, "cy": camera.cy}
-        frames.append({"file_path": f"{number}.png", "transform_matrix": matrix.tolist(), **lens})
-    (folder / "transforms.json").write_text(json.dumps({"frames": frames}))
+    for camera in cameras:
+        Image.fromarray(eight_bits(view.draw(camera))).save(folder / camera.name)
+    (folder / "transforms.json").write_text(json.dumps(transforms(cameras)))
     return folder
+
+
+def written(folder: Path, voxel: float | None = VOXEL) -> tuple[Uncompressed, Given, PhotographSet]:
+    """A scene and photographs of it, as they are read from their folders `scene` and `photographs`."""
+    scene = model(voxel)
+    write_uncompressed(scene, folder / "scene")
+    photographs = read_photographs(photographed(scene, folder / "photographs"), 48)
+    return scene, read_given(folder / "scene"), photographs
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("voxel", [VOXEL, None])
 def test_it_begins_with_what_the_scene_shows(voxel: float | None, tmp_path: Path) -> None:
     """With a lattice of the scene positions are exact, and without one nearly so."""
-    scene = model(voxel)
-    write_uncompressed(scene, tmp_path / "scene")
-    photographs = read_photographs(photographed(scene, tmp_path / "photographs"), 48)
-    given = read_given(tmp_path / "scene")
+    scene, given, photographs = written(tmp_path, voxel)
     settings = continued_settings(given, varied(PRESETS["fast"], {"steps": 4}))
     assert sum(settings.entropy.slices) == FEATURES
     trainer = Trainer(photographs, settings, given=given)
@@ -92,10 +95,8 @@ def test_it_begins_with_what_the_scene_shows(voxel: float | None, tmp_path: Path
 
 @pytest.mark.slow
 def test_it_ends_with_a_file_of_the_same_dimensions(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    scene = model()
-    write_uncompressed(scene, tmp_path / "scene")
-    source = str(photographed(scene, tmp_path / "photographs"))
-    words = ["train", source, "-o", str(tmp_path / "better"), "--size", "48", "--steps", "25"]
+    scene, _, _ = written(tmp_path)
+    words = ["train", str(tmp_path / "photographs"), "-o", str(tmp_path / "better"), "--size", "48", "--steps", "25"]
     assert main([*words, "--from", str(tmp_path / "scene"), "--keep-state"]) == 0
     assert "anchors of the scene to continue" in capsys.readouterr().err
     assert main(["encode", str(tmp_path / "better"), "-o", str(tmp_path / "a.c3gs")]) == 0
@@ -112,10 +113,7 @@ def test_it_ends_with_a_file_of_the_same_dimensions(tmp_path: Path, capsys: pyte
 
 
 def test_masks_and_phases(tmp_path: Path) -> None:
-    scene = model()
-    write_uncompressed(scene, tmp_path / "scene")
-    photographs = read_photographs(photographed(scene, tmp_path / "photographs"), 48)
-    given = read_given(tmp_path / "scene")
+    scene, given, photographs = written(tmp_path)
     settings = continued_settings(given, PRESETS["fast"])
     assert settings.phases == CONTINUED
     own = (Phase("all", 0.0, {"rate": "on"}),)

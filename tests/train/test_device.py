@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import pytest
 import torch
@@ -24,8 +24,11 @@ from refcodec.bitstream.codec import emit, parse
 from refcodec.bitstream.reconstruction import digest
 from refcodec.bitstream.scene import Scene
 from refcodec.photographs.photographs import PhotographSet, read_photographs
+from refcodec.rendering.camera import Camera
+from refcodec.rendering.rasterise import Settings
 from refcodec.train import splat, stage, trainer, views
 from refcodec.train.command import report
+from refcodec.train.device import Gaussians
 from refcodec.train.settings import TrainSettings
 from refcodec.train.settings_file import varied
 from refcodec.train.state import restore, save
@@ -136,17 +139,17 @@ class Made(TorchFunctionMode):
         return function(*arguments, **named)
 
 
-def drawn_on_cpu(*values: Any) -> splat.Drawn:
+def drawn_on_cpu(
+    gaussians: Gaussians, camera: Camera, settings: Settings, screen: Tensor | None = None
+) -> tuple[Tensor, ...]:
     """splat.draw, of tensors on the pretended device too, which must then all be there."""
-    gaussians, (camera, settings, *more) = values[:5], values[5:]
     if not isinstance(gaussians[0], Pretended):
-        return splat.draw(*values)
-    screen = more[0] if more else None
+        return splat.draw(gaussians, camera, settings, screen)
     assert all(isinstance(v, Pretended) for v in gaussians)
     assert screen is None or isinstance(screen, Pretended)
-    here = [v.cpu() for v in gaussians]
-    image, rest, radius = splat.draw(*here, camera, settings, None if screen is None else screen.cpu())
-    return image.to(DEVICE), rest.to(DEVICE), radius.to(DEVICE)
+    here = tuple(v.cpu() for v in gaussians)
+    drawn = splat.draw(cast(Gaussians, here), camera, settings, None if screen is None else screen.cpu())
+    return tuple(v.to(DEVICE) for v in drawn)
 
 
 def _noise(device: torch.device, random: torch.Generator, seed: int) -> torch.Generator:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import signal
 import struct
-import subprocess
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
@@ -530,9 +528,3 @@ def test_what_is_missing_is_said(plain: Path, tmp_path: Path, refused: Callable[
     ):
         assert message in refused("fit", path, "-o", tmp_path / "new", "--steps", 1)
         assert not (tmp_path / "new").exists()
-
-
-def test_fit_needs_no_more_than_its_extra() -> None:
-    """torch, numba and scipy, but not what reads photographs."""
-    code = "import sys, refcodec.train.fit\nprint({'PIL', 'skimage'} & set(sys.modules))"
-    assert subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout == "set()\n"

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from pathlib import Path
-
 import numpy as np
 import pytest
 import torch
@@ -19,7 +16,6 @@ from refcodec.photographs.photographs import PhotographSet
 from refcodec.rendering.gaussians import gaussians_of
 from refcodec.train.settings import TrainSettings
 from refcodec.train.settings_file import SettingsError, varied
-from refcodec.train.state import restore, save
 from refcodec.train.trainer import Trainer
 from refcodec.train.views import show
 
@@ -66,18 +62,6 @@ def test_the_decoder_has_the_gaussians_of_the_training(static: Trainer, scene: S
     error = float(torch.mean((shown - drawn) ** 2))
     assert -10 * np.log10(error) > 40
     assert len(held.mean) == scene.masks.sum()
-
-
-def test_a_static_training_continues_from_its_state(
-    static: Trainer, photographs: PhotographSet, tmp_path: Path
-) -> None:
-    save(static, tmp_path / "state")
-    other = Trainer(photographs, static.settings)
-    restore(other, tmp_path / "state")
-    one, two = static.result(), other.result()
-    assert isinstance(one, Scene)
-    assert isinstance(two, Scene)
-    assert emit(one) == emit(replace(two, ancillary=one.ancillary))
 
 
 def test_an_uncompressed_scene_is_not_static(small: TrainSettings) -> None:

@@ -32,17 +32,13 @@ BAND = 8
 class Similarity:
     """value: the mean SSIM. The rest is for similarity_backward.
 
-    x, y: both images. d_mean, d_square, d_product: derivatives of the sum of SSIM with respect to the window's means of
-    x, x^2 and xy. All are f32[H + 10, row], rows of W * C values between zeros.
+    buffers: f32[5, H + 10, row], rows of W * C values between zeros: both images x and y, and the derivatives of the
+    sum of SSIM with respect to the window's means of x, x^2 and xy.
     """
 
     value: float
     shape: tuple[int, int, int]
-    x: F32
-    y: F32
-    d_mean: F32
-    d_square: F32
-    d_product: F32
+    buffers: F32
 
 
 @compiled(inline="always")
@@ -55,14 +51,12 @@ def _across(row: F32, begin: int, at: int, channels: int, window: F32) -> Any:
 
 
 @compiled(parallel=True)
-def _forward(
-    x: F32, y: F32, window: F32, height: int, values: int, channels: int, d_mean: F32, d_square: F32, d_product: F32
-) -> F64:
+def _forward(buffers: F32, window: F32, height: int, values: int, channels: int) -> F64:
     """Sum of SSIM over each row, f64[height]; writes the derivatives."""
-    size = x.shape[1]
+    size = buffers.shape[2]
     sums = np.empty(height, np.float64)
-    flat_x, flat_y = x.reshape(-1), y.reshape(-1)
-    flat_mean, flat_square, flat_product = d_mean.reshape(-1), d_square.reshape(-1), d_product.reshape(-1)
+    flat_x, flat_y = buffers[0].reshape(-1), buffers[1].reshape(-1)
+    flat_mean, flat_square, flat_product = buffers[2].reshape(-1), buffers[3].reshape(-1), buffers[4].reshape(-1)
     # A row's means down the columns, between zeros.
     room = size + (TAPS - 1) * channels
     for band in prange((height + BAND - 1) // BAND):
@@ -77,11 +71,8 @@ def _forward(
                     value_x, value_y = load(flat_x, (line + k) * size + at), load(flat_y, (line + k) * size + at)
                     weighted_x, weighted_y = weight * value_x, weight * value_y
                     m_x, m_y = m_x + weighted_x, m_y + weighted_y
-                    m_xx, m_yy, m_xy = (
-                        fma(weighted_x, value_x, m_xx),
-                        fma(weighted_y, value_y, m_yy),
-                        fma(weighted_x, value_y, m_xy),
-                    )
+                    m_xx, m_yy = fma(weighted_x, value_x, m_xx), fma(weighted_y, value_y, m_yy)
+                    m_xy = fma(weighted_x, value_y, m_xy)
                 to = RADIUS * channels + at
                 store(rows, to, m_x)
                 store(rows, room + to, m_y)
@@ -122,22 +113,12 @@ def _forward(
 
 
 @compiled(parallel=True)
-def _backward(
-    x: F32,
-    y: F32,
-    window: F32,
-    height: int,
-    channels: int,
-    d_mean: F32,
-    d_square: F32,
-    d_product: F32,
-    factor: np.float32,
-) -> F32:
+def _backward(buffers: F32, window: F32, height: int, channels: int, factor: np.float32) -> F32:
     """factor times the gradient of the sum of SSIM with respect to x: f32[height, row]."""
-    size = x.shape[1]
+    size = buffers.shape[2]
     gradient = np.empty((height, size), np.float32)
-    flat_x, flat_y, flat = x.reshape(-1), y.reshape(-1), gradient.reshape(-1)
-    flat_mean, flat_square, flat_product = d_mean.reshape(-1), d_square.reshape(-1), d_product.reshape(-1)
+    flat_x, flat_y, flat = buffers[0].reshape(-1), buffers[1].reshape(-1), gradient.reshape(-1)
+    flat_mean, flat_square, flat_product = buffers[2].reshape(-1), buffers[3].reshape(-1), buffers[4].reshape(-1)
     room = size + (TAPS - 1) * channels
     for band in prange((height + BAND - 1) // BAND):
         rows = np.zeros(3 * room, np.float32)
@@ -173,20 +154,17 @@ def similarity(x: ArrayLike, y: ArrayLike) -> Similarity:
         raise ValueError(f"the images have the shapes {first.shape} and {second.shape}, but must have the same [H,W,C]")
     height, width, channels = first.shape
     values = width * channels
-    padded = np.zeros((5, height + 2 * RADIUS, -(-values // WIDTH) * WIDTH), np.float32)
-    padded[0, RADIUS:-RADIUS, :values], padded[1, RADIUS:-RADIUS, :values] = (
-        first.reshape(height, values),
-        second.reshape(height, values),
-    )
-    sums = _forward(padded[0], padded[1], WINDOW, height, values, channels, padded[2], padded[3], padded[4])
-    return Similarity(float(sums.sum() / first.size), (height, width, channels), *padded)
+    buffers = np.zeros((5, height + 2 * RADIUS, -(-values // WIDTH) * WIDTH), np.float32)
+    buffers[:2, RADIUS:-RADIUS, :values] = np.stack([first, second]).reshape(2, height, values)
+    sums = _forward(buffers, WINDOW, height, values, channels)
+    return Similarity(float(sums.sum() / first.size), (height, width, channels), buffers)
 
 
 def similarity_backward(s: Similarity, gradient: float = 1.0) -> F32:
     """`gradient` times the gradient of the mean SSIM with respect to the first image, f32[H,W,C]."""
     height, width, channels = s.shape
     factor = np.float32(gradient / (height * width * channels))
-    d_x = _backward(s.x, s.y, WINDOW, height, channels, s.d_mean, s.d_square, s.d_product, factor)
+    d_x = _backward(s.buffers, WINDOW, height, channels, factor)
     return np.ascontiguousarray(d_x[:, : width * channels]).reshape(s.shape)
 
 

@@ -99,24 +99,14 @@ def _add_gradients(upstream: F32, x: F32, inputs: int, outputs: int, to: F32) ->
 
 @compiled(parallel=True)
 def _plane_bits(
-    symbols: F32,
-    w0: F32,
-    b0: F32,
-    w1: F32,
-    b1: F32,
-    w2: F32,
-    b2: F32,
-    rounding: bool,
-    floor: np.float32,
-    gradient: F32,
-    g0: F32,
-    g1: F32,
-    g2: F32,
+    symbols: F32, weights: Any, biases: Any, rounding: bool, floor: np.float32, gradient: F32, by_layer: Any
 ) -> F32:
     """Probabilities of the symbols [planes, B, B], and ones beside.
 
-    Sets gradients of their bits' sum: gradient [planes, B, B], and g* [planes, out, in + 1, 8], as _add_gradients.
+    weights, biases: tuples, of SARM's three layers. Sets gradients of the bits' sum: gradient [planes, B, B], and those
+    of each layer, [planes, out, in + 1, 8], as _add_gradients.
     """
+    (w0, w1, w2), (b0, b1, b2), (g0, g1, g2) = weights, biases, by_layer
     planes, size = symbols.shape[0], symbols.shape[1]
     # A plane with its border, row by row: one row above, and one number at either side of each row.
     stride = size + 2
@@ -190,8 +180,8 @@ class PlaneBits(torch.autograd.Function):
         flat = array(symbols).reshape(-1, *symbols.shape[2:])
         gradient = np.empty(flat.shape, np.float32)
         parts = [np.zeros((len(flat), w.shape[0], w.shape[1] + 1, WIDTH), np.float32) for w, _ in folded]
-        values = [v for pair in folded for v in pair]
-        chances = _plane_bits(flat, *values, plans[0].rounding, np.float32(floor), gradient, *parts)
+        weights, biases = zip(*folded, strict=True)
+        chances = _plane_bits(flat, weights, biases, plans[0].rounding, np.float32(floor), gradient, tuple(parts))
         ctx.gradients = [torch.from_numpy(gradient).reshape(symbols.shape)]
         for plan, part in zip(plans, parts, strict=True):
             both = part.sum(axis=(0, 3))
