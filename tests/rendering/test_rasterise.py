@@ -47,8 +47,11 @@ def camera(width: int = 50, height: int = 37, angle: float = 0.1) -> Camera:
     )
 
 
+VIEW, COLOURED = camera(), Settings(background=(0.1, 0.2, 0.3))
+
+
 def scene(
-    n: int, seed: int, view: Camera, *, size: float = 0.1, low: float = 2.0, high: float = 6.0, spread: float = 1.1
+    n: int, seed: int, view: Camera = VIEW, *, size: float = 0.1, low: float = 2, high: float = 6, spread: float = 1.1
 ) -> Scene:
     """n Gaussians of depth low to high in the view, `spread` times as far as its edges.
 
@@ -119,21 +122,18 @@ def dense(
     alpha = torch.where(going, alpha, 0.0)
     left = torch.cumprod(1 - alpha, 1)
     front = torch.cat([torch.ones_like(left[:, :1]), left[:, :-1]], 1)
-    last = (
-        front[:, -1] * (1 - alpha[:, -1]) if len(order) else torch.ones(view.width * view.height, dtype=torch.float64)
-    )
-    image = (alpha * front[:, : alpha.shape[1]]) @ colour + last[:, None] * torch.tensor(
-        settings.background, dtype=torch.float64
-    )
+    last = front[:, -1] * (1 - alpha[:, -1]) if len(order) else torch.ones(view.width * view.height).double()
+    background = torch.tensor(settings.background, dtype=torch.float64)
+    image = (alpha * front[:, : alpha.shape[1]]) @ colour + last[:, None] * background
     shape = (view.height, view.width)
     return image.reshape(*shape, 3), last.reshape(shape), fragile.reshape(shape)
 
 
 def compare(
-    values: Scene, view: Camera, settings: Settings | None = None, *, gradient_error: float = GRADIENT_ERROR
+    values: Scene, view: Camera = VIEW, settings: Settings | None = None, *, gradient_error: float = GRADIENT_ERROR
 ) -> Any:
     """Asserts that image, transmittance and gradients are the dense ones; returns the rendering and its gradients."""
-    settings = settings or Settings(background=(0.1, 0.2, 0.3))
+    settings = settings or COLOURED
     exact = {k: torch.from_numpy(v).double().requires_grad_() for k, v in values.items()}
     exact["moved"] = torch.zeros(len(values["opacity"]), 2, dtype=torch.float64, requires_grad=True)
     image, transmittance, fragile = dense(exact, view, settings)
@@ -180,7 +180,7 @@ SCENES: dict[str, dict[str, Any]] = {
 
 @pytest.mark.parametrize("name", SCENES)
 def test_scenes(name: str) -> None:
-    case = {"view": camera(), **SCENES[name]}
+    case = {"view": VIEW, **SCENES[name]}
     view, settings, error = case["view"], case.get("settings"), case.get("gradient_error", GRADIENT_ERROR)
     values = scene(case["n"], case["seed"], view, size=case.get("size", 0.1))
     values["scale"][:] = case.get("scale", values["scale"])
@@ -191,20 +191,18 @@ def test_scenes(name: str) -> None:
 
 def test_opaque() -> None:
     """Alphas at their cap, pixels finished by the first few Gaussians, and many behind."""
-    view = camera()
-    values = scene(800, 3, view, size=0.3)
+    values = scene(800, 3, size=0.3)
     values["opacity"][:] = 1
-    rendering, gradients = compare(values, view)
+    rendering, gradients = compare(values)
     assert (rendering.transmittance < 1e-3).mean() > 0.9
     assert (gradients.colour == 0).all(axis=1).any()
 
 
 @pytest.mark.parametrize("near", [0.2, 0.01])
 def test_behind_and_across_the_near_plane(near: float) -> None:
-    view = camera()
-    values = scene(300, 4, view, size=0.05, low=-1, high=1)
-    rendering, gradients = compare(values, view, Settings(near_plane=near))
-    depth = (values["mean"].astype(np.float64) @ view.rotation.T + view.translation)[:, 2]
+    values = scene(300, 4, size=0.05, low=-1, high=1)
+    rendering, gradients = compare(values, VIEW, Settings(near_plane=near))
+    depth = (values["mean"].astype(np.float64) @ VIEW.rotation.T + VIEW.translation)[:, 2]
     hidden = depth <= near
     assert hidden.any()
     assert (rendering.radius[hidden] == 0).all()
@@ -215,61 +213,54 @@ def test_behind_and_across_the_near_plane(near: float) -> None:
 
 def test_partly_and_wholly_outside() -> None:
     """Also where the Jacobian's slope is clamped."""
-    view = camera()
-    values = scene(400, 5, view, size=0.25, spread=2.0)
-    rendering, _ = compare(values, view)
-    p = values["mean"].astype(np.float64) @ view.rotation.T + view.translation
-    x = view.fx * p[:, 0] / p[:, 2] + view.cx
-    outside = (x < 0) | (x > view.width)
+    values = scene(400, 5, size=0.25, spread=2.0)
+    rendering, _ = compare(values)
+    p = values["mean"].astype(np.float64) @ VIEW.rotation.T + VIEW.translation
+    x = VIEW.fx * p[:, 0] / p[:, 2] + VIEW.cx
+    outside = (x < 0) | (x > VIEW.width)
     assert ((rendering.radius > 0) & outside).any()
     assert ((rendering.radius == 0) & outside).any()
 
 
 def test_without_low_pass_points_are_not_drawn() -> None:
-    view = camera()
-    rendering = rasterise(**scene(200, 9, view, size=0.0), camera=view, settings=Settings(low_pass=0.0))
+    rendering = rasterise(**scene(200, 9, size=0.0), camera=VIEW, settings=Settings(low_pass=0.0))
     assert (rendering.radius == 0).all()
 
 
 def test_opacity_zero() -> None:
-    view = camera()
-    values = scene(100, 10, view)
+    values = scene(100, 10)
     values["opacity"][::2] = 0
-    rendering, gradients = compare(values, view)
+    rendering, gradients = compare(values)
     assert (rendering.radius[::2] == 0).all()
     assert (gradients.opacity[::2] == 0).all()
     values["opacity"][:] = 0
-    rendering, _ = compare(values, view)
+    rendering, _ = compare(values)
     assert (rendering.transmittance == 1).all()
 
 
 def test_none_at_all() -> None:
-    view = camera()
-    rendering, gradients = compare(scene(0, 0, view), view, Settings(background=(0.25, 0.5, 1.0)))
+    rendering, gradients = compare(scene(0, 0), VIEW, Settings(background=(0.25, 0.5, 1.0)))
     assert (rendering.image == (0.25, 0.5, 1.0)).all()
     assert (rendering.transmittance == 1).all()
     assert gradients.screen.shape == (0,)
 
 
 def test_equal_depth_in_the_order_of_indices() -> None:
-    view = replace(camera(), rotation=np.eye(3), translation=np.zeros(3))
+    view = replace(VIEW, rotation=np.eye(3), translation=np.zeros(3))
     values = scene(60, 11, view, size=0.4)
     values["mean"][:, 2] = 3
     rendering, _ = compare(values, view)
-    turned = rasterise(
-        **{k: v[::-1] for k, v in values.items()}, camera=view, settings=Settings(background=(0.1, 0.2, 0.3))
-    )
+    turned = rasterise(**{k: v[::-1] for k, v in values.items()}, camera=view, settings=COLOURED)
     assert np.abs(turned.image - rendering.image).max() > 0.05
 
 
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 def test_not_finite_is_not_drawn(name: str, value: float) -> None:
-    view = camera()
-    values = scene(50, 13, view)
+    values = scene(50, 13)
     without = {k: np.delete(v, 7, axis=0) for k, v in values.items()}
     values[name].reshape(50, -1)[7, 0] = value
-    rendering, expected = rasterise(**values, camera=view), rasterise(**without, camera=view)
+    rendering, expected = rasterise(**values, camera=VIEW), rasterise(**without, camera=VIEW)
     assert rendering.radius[7] == 0
     np.testing.assert_array_equal(rendering.image, expected.image)
     gradients = rasterise_backward(rendering, np.ones_like(rendering.image))
@@ -277,10 +268,9 @@ def test_not_finite_is_not_drawn(name: str, value: float) -> None:
 
 
 def test_no_rotation_in_a_quaternion_of_zeros() -> None:
-    view = camera()
-    values = scene(50, 14, view)
+    values = scene(50, 14)
     values["quaternion"][3] = 0
-    assert rasterise(**values, camera=view).radius[3] == 0
+    assert rasterise(**values, camera=VIEW).radius[3] == 0
 
 
 def test_radius() -> None:
@@ -307,9 +297,8 @@ def test_any_shape(n: int, width: int, height: int, seed: int, size: float) -> N
     rendering = rasterise(**values, camera=view)
     assert rendering.image.shape == (height, width, 3)
     assert rendering.radius.shape == (n,)
-    image, transmittance, fragile = dense(
-        {k: torch.from_numpy(v).double() for k, v in values.items()}, view, Settings()
-    )
+    exact = {k: torch.from_numpy(v).double() for k, v in values.items()}
+    image, transmittance, fragile = dense(exact, view, Settings())
     firm = ~fragile.numpy()
     # Some of these are needles close to the eye: see test_needles.
     assert np.abs(rendering.image - image.numpy())[firm].max(initial=0) < 10 * IMAGE_ERROR
@@ -357,13 +346,12 @@ for threads in (1, 2, 3):
 
 
 def test_autograd() -> None:
-    view = camera()
-    values = scene(100, 50, view)
+    values = scene(100, 50)
     inputs = [torch.from_numpy(values[k]).double().requires_grad_() for k in NAMES]
     screen = torch.zeros(100, requires_grad=True)
-    expected = rasterise(**values, camera=view)
+    expected = rasterise(**values, camera=VIEW)
     for calls in (1, 2):
-        image, transmittance, radius = Rasterise.apply(view, None, screen, *inputs)
+        image, transmittance, radius = Rasterise.apply(VIEW, None, screen, *inputs)
         np.testing.assert_array_equal(image.detach().numpy(), expected.image)
         np.testing.assert_array_equal(radius.numpy(), expected.radius)
         (image.square().sum() + transmittance.sum()).backward()
@@ -371,16 +359,14 @@ def test_autograd() -> None:
         for name, value in zip(NAMES, inputs, strict=True):
             assert value.grad is not None
             assert value.grad.dtype == torch.float64
-            np.testing.assert_allclose(
-                value.grad.numpy(), calls * getattr(gradients, name).astype(np.float64), rtol=1e-12
-            )
+            wanted = calls * getattr(gradients, name).astype(np.float64)
+            np.testing.assert_allclose(value.grad.numpy(), wanted, rtol=1e-12)
         np.testing.assert_allclose(screen.grad, calls * gradients.screen, rtol=1e-6)
 
 
 def test_autograd_sees_changes_in_place() -> None:
-    view = camera()
-    inputs = [torch.from_numpy(v).requires_grad_() for v in scene(10, 51, view).values()]
-    image, transmittance, _ = Rasterise.apply(view, None, None, *inputs)
+    inputs = [torch.from_numpy(v).requires_grad_() for v in scene(10, 51).values()]
+    image, transmittance, _ = Rasterise.apply(VIEW, None, None, *inputs)
     with torch.no_grad():
         transmittance.zero_()
         inputs[0].add_(1)
@@ -392,7 +378,7 @@ def drawn_with_gradients(draw: Any, inputs: list[torch.Tensor]) -> tuple[torch.T
     """Image, transmittance, radius, and the gradients of a loss by the five inputs and the screen, on the CPU."""
     inputs = [v.detach().requires_grad_() for v in inputs]
     screen = torch.zeros(len(inputs[0]), device=inputs[0].device, requires_grad=True)
-    image, transmittance, radius = draw(tuple(inputs), camera(), Settings(background=(0.1, 0.2, 0.3)), screen)
+    image, transmittance, radius = draw(tuple(inputs), VIEW, COLOURED, screen)
     (image.square().sum() + transmittance.sum()).backward()
     return tuple(v.detach().cpu() for v in (image, transmittance, radius, *(v.grad for v in (*inputs, screen))))
 
@@ -402,13 +388,13 @@ def rasterised(gaussians: tuple[torch.Tensor, ...], *rest: Any) -> Any:
 
 
 def test_draw_on_the_cpu() -> None:
-    inputs = [torch.from_numpy(v) for v in scene(100, 52, camera()).values()]
+    inputs = [torch.from_numpy(v) for v in scene(100, 52).values()]
     for drawn, expected in zip(*(drawn_with_gradients(d, inputs) for d in (splat.draw, rasterised)), strict=True):
         assert torch.equal(drawn, expected)
     there = tuple(v.to("meta") for v in inputs)
     for some, screen in (((*inputs[:4], there[4]), None), (there, None), (inputs, torch.zeros(100, device="meta"))):
         with pytest.raises(ValueError, match="meta"):
-            splat.draw(some, camera(), None, screen)
+            splat.draw(some, VIEW, None, screen)
 
 
 def test_what_gsplat_is_given(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -420,10 +406,8 @@ def test_what_gsplat_is_given(monkeypatch: pytest.MonkeyPatch) -> None:
         *values, view, lens, width, height = inputs
         assert (packed, rasterize_mode, view.shape, lens.shape) == (False, "classic", (1, 4, 4), (1, 3, 3))
         assert view[0, 3].tolist() == [0, 0, 0, 1]
-        matrix, place = (
-            lens[0].double().numpy(),
-            torch.zeros(1, len(values[0]), 2, dtype=torch.float64, requires_grad=True),
-        )
+        matrix = lens[0].double().numpy()
+        place = torch.zeros(1, len(values[0]), 2, dtype=torch.float64, requires_grad=True)
         pose = (v.double().numpy() for v in (view[0, :3, :3], view[0, :3, 3]))
         seen_from = Camera("", width, height, *matrix[[0, 1, 0, 1], [0, 1, 2, 2]], *pose)
         settings = Settings(eps2d, near_plane, background=tuple(backgrounds[0].tolist()))
@@ -433,14 +417,14 @@ def test_what_gsplat_is_given(monkeypatch: pytest.MonkeyPatch) -> None:
         return image.float()[None], 1 - transmittance.float()[None, ..., None], {"means2d": place, "radii": radii}
 
     monkeypatch.setitem(sys.modules, "gsplat", SimpleNamespace(rasterization=rasterization))
-    inputs = [torch.from_numpy(v) for v in scene(60, 53, camera()).values()]
+    inputs = [torch.from_numpy(v) for v in scene(60, 53).values()]
     drawn, expected = (drawn_with_gradients(draw, inputs) for draw in (device.draw_on_gpu, rasterised))
     assert drawn[2].tolist() == list(range(1, 120, 2))
     for a, b in zip(drawn[:2] + drawn[3:], expected[:2] + expected[3:], strict=True):
         assert (a - b).norm() < 1e-4 * b.norm()
     screen = torch.zeros(60, requires_grad=True)
     for calls in (1, 2):
-        image, transmittance, _ = device.draw_on_gpu(inputs, camera(), Settings(background=(0.1, 0.2, 0.3)), screen)
+        image, transmittance, _ = device.draw_on_gpu(inputs, VIEW, COLOURED, screen)
         (image.square().sum() + transmittance.sum()).backward()
         assert (screen.grad - calls * expected[-1]).norm() < 1e-4 * calls * expected[-1].norm()
 
@@ -449,7 +433,7 @@ def test_what_gsplat_is_given(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_draw_on_the_gpu() -> None:
     """Opacities that no cap reaches. Pixels and gradients differ where an alpha by 1/255 falls on the other side."""
     pytest.importorskip("gsplat", reason="the extra cuda")
-    values = scene(500, 54, camera())
+    values = scene(500, 54)
     values["opacity"] *= 0.95
     inputs = [torch.from_numpy(v) for v in values.values()]
     drawn, expected = (drawn_with_gradients(splat.draw, given) for given in ([v.cuda() for v in inputs], inputs))
@@ -474,12 +458,11 @@ def test_settings_errors(name: str, value: Any) -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_shape_errors(name: str) -> None:
-    view = camera()
-    values = scene(5, 0, view)
+    values = scene(5, 0)
     values[name] = values[name][:4] if name != "opacity" else values[name][:, None]
     with pytest.raises(ValueError, match="shape"):
-        rasterise(**values, camera=view)
-    rendering = rasterise(**scene(5, 0, view), camera=view)
+        rasterise(**values, camera=VIEW)
+    rendering = rasterise(**scene(5, 0), camera=VIEW)
     with pytest.raises(ValueError, match="shapes"):
         rasterise_backward(rendering, rendering.image[1:])
 
@@ -512,10 +495,8 @@ def test_ssim(width: int, height: int, channels: int, seed: int, noise: float) -
     x = rng.uniform(size=(height, width, channels)).astype(np.float32)
     y = ((1 - noise) * x + noise * rng.uniform(size=x.shape)).astype(np.float32)
     image, exact = torch.from_numpy(x).requires_grad_(), torch.from_numpy(x).double().requires_grad_()
-    value, expected = (
-        1 - Photometric.apply(image, torch.from_numpy(y), 1.0),
-        dense_ssim(exact, torch.from_numpy(y).double()),
-    )
+    value = 1 - Photometric.apply(image, torch.from_numpy(y), 1.0)
+    expected = dense_ssim(exact, torch.from_numpy(y).double())
     (3 * value).backward()
     (3 * expected).backward()
     assert float(value.detach()) == pytest.approx(float(expected.detach()), abs=2e-6)
