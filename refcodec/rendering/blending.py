@@ -8,9 +8,9 @@ import numpy as np
 from numba import prange
 
 from .compiled import compiled
-from .constants import BLOCK, BLOCK_HEIGHT, F32, I32, I64, LEAST, SUMS, TILE_HEIGHT, TILE_WIDTH, TRANSMITTANCE_MIN
+from .constants import BLOCK, BLOCK_HEIGHT, F32, I32, LEAST, SUMS, TILE_HEIGHT, TILE_WIDTH, TRANSMITTANCE_MIN
 from .simd import WIDTH, bits, column_sums, exp2, fma, fnma, load, lowest, maximum, minimum, select, splat, store, total
-from .tiles import block_at, blocks_reached
+from .tiles import Pairs, block_at, blocks_reached
 
 # The number of Gaussians of a tile that are drawn before its unfinished blocks are updated.
 LOOK = 16
@@ -19,15 +19,21 @@ _STOP = np.float32(TRANSMITTANCE_MIN)
 _FLOOR = np.float32(-32)
 
 
+@compiled(inline="always")
+def _of_tile(record: F32, i: int, x0: int, y0: int) -> Any:
+    """Returns a, b, c and log2(opacity) of Gaussian i, and u and v at the centre of pixel (x0, y0)."""
+    a, b, c = record[i, 4], record[i, 5], record[i, 6]
+    dx, dy = np.float32(x0) - record[i, 0], np.float32(y0) - record[i, 1]
+    return a, b, c, record[i, 7], record[i, 2] + (a * dx + b * dy), record[i, 3] + c * dy
+
+
 @compiled(parallel=True)
-def blend_tiles(
-    record: F32, tile_begin: I64, members: I32, width: int, height: int, alpha_max: np.float32, background: F32
-) -> Any:
+def blend_tiles(record: F32, pairs: Pairs, width: int, height: int, alpha_max: np.float32, background: F32) -> Any:
     """Blends all tiles. Returns image f32[H,W,3], transmittance f32[H,W] and last f32[H,W], as in _Tape.
 
-    record: f32[N,16], as project_gaussians gives it. tile_begin: i64[tiles+1] and members: i32[P], as list_tiles gives
-    them. background: f32[3].
+    record: f32[N,16], as project_gaussians gives it. background: f32[3].
     """
+    _, _, _, tile_begin, members = pairs
     image, transmittance = np.empty((height, width, 3), np.float32), np.empty((height, width), np.float32)
     last = np.empty((height, width), np.float32)
     columns = (width + TILE_WIDTH - 1) // TILE_WIDTH
@@ -35,23 +41,14 @@ def blend_tiles(
         x0, y0 = t % columns * TILE_WIDTH, t // columns * TILE_HEIGHT
         y, x = slice(y0, y0 + TILE_HEIGHT), slice(x0, x0 + TILE_WIDTH)
         own = members[tile_begin[t] : tile_begin[t + 1]]
-        _blend_tile(record, own, x0, y0, alpha_max, background, image[y, x], transmittance[y, x], last[y, x])
+        _blend_tile(record, own, x0, y0, alpha_max, background, (image[y, x], transmittance[y, x], last[y, x]))
     return image, transmittance, last
 
 
 @compiled()
-def _blend_tile(
-    record: F32,
-    members: I32,
-    x0: int,
-    y0: int,
-    alpha_max: np.float32,
-    background: F32,
-    image: F32,
-    transmittance: F32,
-    last: F32,
-) -> None:
-    """SPEC 14.5, PIXEL: blends one tile into its parts of image, transmittance and last. x0, y0: its first pixel."""
+def _blend_tile(record: F32, members: I32, x0: int, y0: int, alpha_max: np.float32, background: F32, part: Any) -> None:
+    """SPEC 14.5, PIXEL: blends one tile into its part of image, transmittance and last. x0, y0: its first pixel."""
+    image, transmittance, last = part
     rows, columns = transmittance.shape
     # The planes of a block are x, y, transmittance, place of the last Gaussian drawn, red, green and blue. A
     # transmittance is negative if the pixel is finished or outside the image. What would be left of it is then below
@@ -67,9 +64,7 @@ def _blend_tile(
     unfinished = _unfinished(state)
     for k in range(members.shape[0]):
         i = members[k]
-        a, b, c, log_opacity = record[i, 4], record[i, 5], record[i, 6], record[i, 7]
-        dx, dy = np.float32(x0) - record[i, 0], np.float32(y0) - record[i, 1]
-        u0, v0 = record[i, 2] + (a * dx + b * dy), record[i, 3] + c * dy
+        a, b, c, log_opacity, u0, v0 = _of_tile(record, i, x0, y0)
         blocks = blocks_reached(a, b, c, log_opacity, u0, v0) & unfinished
         while blocks:
             at = lowest(blocks) * BLOCK
@@ -118,30 +113,22 @@ def _unfinished(state: F32) -> np.uint64:
 
 
 @compiled(parallel=True)
-def unblend_tiles(
-    record: F32,
-    tile_begin: I64,
-    members: I32,
-    last: F32,
-    transmittance: F32,
-    alpha_max: np.float32,
-    background: F32,
-    grad_image: F32,
-    grad_transmittance: F32,
-) -> F32:
+def unblend_tiles(record: F32, pairs: Pairs, drawn: Any, alpha_max: np.float32, background: F32, gradients: Any) -> F32:
     """Returns the gradients of the pairs, f32[P * 9], nine for each pair as SUMS says. They are 0 if no pixel drew it.
 
-    last, transmittance: f32[H,W], as blend_tiles gives them. grad_image: f32[H,W,3]. grad_transmittance: f32[H,W].
+    drawn: transmittance and last, f32[H,W] each, as blend_tiles gives them. gradients: of the image, f32[H,W,3], and of
+    the transmittance, f32[H,W].
     """
+    (_, _, _, tile_begin, members), (transmittance, last), (grad_image, grad_transmittance) = pairs, drawn, gradients
     sums = np.empty(members.shape[0] * SUMS, np.float32)
     columns = (transmittance.shape[1] + TILE_WIDTH - 1) // TILE_WIDTH
     for t in prange(tile_begin.shape[0] - 1):
         x0, y0 = t % columns * TILE_WIDTH, t // columns * TILE_HEIGHT
         y, x = slice(y0, y0 + TILE_HEIGHT), slice(x0, x0 + TILE_WIDTH)
         own = members[tile_begin[t] : tile_begin[t + 1]]
-        drawn, gradients = (transmittance[y, x], last[y, x]), (grad_image[y, x], grad_transmittance[y, x])
+        part, along = (transmittance[y, x], last[y, x]), (grad_image[y, x], grad_transmittance[y, x])
         to = sums[tile_begin[t] * SUMS : tile_begin[t + 1] * SUMS]
-        _unblend_tile(record, own, x0, y0, alpha_max, background, *drawn, *gradients, to)
+        _unblend_tile(record, own, x0, y0, alpha_max, background, part, along, to)
     return sums
 
 
@@ -153,17 +140,18 @@ def _unblend_tile(
     y0: int,
     alpha_max: np.float32,
     background: F32,
-    transmittance: F32,
-    last: F32,
-    grad_image: F32,
-    grad_transmittance: F32,
+    part: Any,
+    along: Any,
     sums: F32,
 ) -> None:
     """Walks one tile back to front and undoes the blending, to find the gradients of its pairs.
 
+    part, along: the tile's parts of `drawn` and `gradients` of unblend_tiles.
+
     What lies behind a Gaussian is then summed up from the back. It is no difference of large numbers, and so it is
     accurate where it is small.
     """
+    (transmittance, last), (grad_image, grad_transmittance) = part, along
     rows, columns = transmittance.shape
     # The planes of a block are x, y, the transmittance in front of what was undone, the gradient of its logarithm, the
     # place of the last Gaussian drawn, and the gradients of red, green and blue.
@@ -197,9 +185,7 @@ def _unblend_tile(
                 some = load(furthest, row * WIDTH) >= splat(np.float32(k - k % LOOK))
                 reached |= bits(some) << np.uint64(row * WIDTH)
         i = members[k]
-        a, b, c, log_opacity = record[i, 4], record[i, 5], record[i, 6], record[i, 7]
-        dx, dy = np.float32(x0) - record[i, 0], np.float32(y0) - record[i, 1]
-        u0, v0 = record[i, 2] + (a * dx + b * dy), record[i, 3] + c * dy
+        a, b, c, log_opacity, u0, v0 = _of_tile(record, i, x0, y0)
         s_1, s_u, s_v, s_uu, s_uv, s_vv = zero, zero, zero, zero, zero, zero
         s_red, s_green, s_blue = zero, zero, zero
         blocks = blocks_reached(a, b, c, log_opacity, u0, v0) & reached

@@ -10,7 +10,8 @@ from numba import prange
 
 from .camera import Camera
 from .compiled import compiled
-from .constants import F32, I32, I64, LEAST, LOG2_MIN, SLACK, SUMS, TILE_HEIGHT, TILE_WIDTH
+from .constants import F32, LEAST, LOG2_MIN, SLACK, SUMS, TILE_HEIGHT, TILE_WIDTH
+from .tiles import Pairs
 
 # SPEC 14.4: how far beyond the edges of the image slopes may be, as a share of its size.
 BEYOND = 0.15
@@ -89,21 +90,12 @@ def _scaled(s: Any, v: Any) -> Any:
 
 @compiled(parallel=True)
 def project_gaussians(
-    mean: F32,
-    quaternion: F32,
-    scale: F32,
-    opacity: F32,
-    colour: F32,
-    view: Any,
-    lens: Any,
-    width: int,
-    height: int,
-    low_pass: float,
-    near_plane: float,
+    inputs: Any, view: Any, lens: Any, width: int, height: int, low_pass: float, near_plane: float
 ) -> Any:
     """SPEC 14.4, PROJECT: returns record f32[N,16], room i32[N], depth f64[N] and radius f32[N].
 
-    mean, scale, colour: f32[N,3]. quaternion: f32[N,4]. opacity: f32[N]. view, lens: as view_of and lens_of give them.
+    inputs: mean, f32[N,3], quaternion, f32[N,4], scale, f32[N,3], opacity, f32[N], and colour, f32[N,3]. view, lens: as
+    view_of and lens_of give them.
 
     room is the number of tiles in the box around the ellipse. radius is that of Rendering. A Gaussian that is not drawn
     has room 0, radius 0 and no record.
@@ -120,6 +112,7 @@ def project_gaussians(
     v. So a, b and c are a triangular root of the inverse covariance. It keeps digits that the quadratic form of a
     needle loses. Since u and v count from a pixel of the image, they also keep digits if the centre is far away.
     """
+    mean, quaternion, scale, opacity, colour = inputs
     n = mean.shape[0]
     record, room = np.empty((n, 16), np.float32), np.empty(n, np.int32)
     depth, radius = np.empty(n, np.float64), np.empty(n, np.float32)
@@ -185,25 +178,14 @@ def project_gaussians(
 
 @compiled(parallel=True)
 def unproject_gaussians(
-    sums: F32,
-    record: F32,
-    begin: I64,
-    count: I32,
-    place: I32,
-    mean: F32,
-    quaternion: F32,
-    scale: F32,
-    opacity: F32,
-    view: Any,
-    lens: Any,
-    width: int,
-    height: int,
+    sums: F32, record: F32, pairs: Pairs, inputs: Any, view: Any, lens: Any, width: int, height: int
 ) -> Any:
     """Adds up the gradients of the pairs of each Gaussian, and takes them back through the projection.
 
-    Returns the arrays of Gradients, in their order. sums: as unblend_tiles gives them. record: as project_gaussians
-    gives it. begin, count, place: as in _Tape.
+    Returns the arrays of Gradients, in their order. sums: as unblend_tiles gives them. record, inputs: those of
+    project_gaussians.
     """
+    (begin, count, place, _, _), (mean, quaternion, scale, opacity, _) = pairs, inputs
     n = mean.shape[0]
     d_mean, d_quaternion = np.empty((n, 3), np.float32), np.empty((n, 4), np.float32)
     d_scale, d_colour = np.empty((n, 3), np.float32), np.empty((n, 3), np.float32)

@@ -23,10 +23,10 @@ from ..bitstream.header import RenderInfo
 from ..formats.splats import Splats
 from .blending import blend_tiles, unblend_tiles
 from .camera import Camera, check_camera
-from .constants import F32, I32, I64, TILE_HEIGHT, TILE_WIDTH
+from .constants import F32, TILE_HEIGHT, TILE_WIDTH
 from .gaussians import Gaussians, static_gaussians
 from .projection import lens_of, project_gaussians, unproject_gaussians, view_of
-from .tiles import LIST_MAX, PAIRS_MAX, list_tiles, sort_by_depth
+from .tiles import LIST_MAX, PAIRS_MAX, Pairs, list_tiles, sort_by_depth
 
 
 @dataclass(frozen=True)
@@ -58,21 +58,14 @@ class Settings:
 
 @dataclass(frozen=True, eq=False)
 class _Tape:
-    """The record for the backward pass: the inputs, and the lists of the forward pass. P is the number of its pairs."""
+    """The record for the backward pass: the inputs, and the lists of the forward pass."""
 
     inputs: tuple[F32, F32, F32, F32, F32]
     camera: Camera
     settings: Settings
     # f32[N,16], as project_gaussians gives it.
     record: F32
-    # i64[N+1] and i32[N]. Gaussian i has room for its pairs at begin[i] : begin[i + 1]. The first count[i] are used.
-    begin: I64
-    count: I32
-    # i32[begin[N]]: for each pair its place among the pairs sorted by tile, then by depth.
-    place: I32
-    # i64[tiles+1] and i32[P]. The Gaussians of tile t are members[tile_begin[t] : tile_begin[t + 1]], nearest first.
-    tile_begin: I64
-    members: I32
+    pairs: Pairs
     # f32[H,W]: for each pixel the place of its last drawn Gaussian in the list of the tile, or -1.
     last: F32
 
@@ -164,19 +157,19 @@ def rasterise(
     inputs = _inputs(mean, quaternion, scale, opacity, colour)
     width, height = int(camera.width), int(camera.height)
     record, room, depth, radius = project_gaussians(
-        *inputs, view_of(camera), lens_of(camera), width, height, float(settings.low_pass), float(settings.near_plane)
+        inputs, view_of(camera), lens_of(camera), width, height, float(settings.low_pass), float(settings.near_plane)
     )
-    pairs = int(room.sum(dtype=np.int64))
-    if pairs >= PAIRS_MAX:
-        raise ValueError(f"{pairs} pairs of Gaussians and tiles; fewer than {PAIRS_MAX} allowed")
+    count = int(room.sum(dtype=np.int64))
+    if count >= PAIRS_MAX:
+        raise ValueError(f"{count} pairs of Gaussians and tiles; fewer than {PAIRS_MAX} allowed")
     columns, rows = -(-width // TILE_WIDTH), -(-height // TILE_HEIGHT)
-    begin, count, place, tile_begin, members = list_tiles(sort_by_depth(depth, room), record, room, columns, rows)
+    pairs = Pairs(*list_tiles(sort_by_depth(depth, room), record, room, columns, rows))
     background = np.array(settings.background, np.float32)
     with parallel_chunksize(1):
         image, transmittance, last = blend_tiles(
-            record, tile_begin, members, width, height, np.float32(settings.alpha_max), background
+            record, pairs, width, height, np.float32(settings.alpha_max), background
         )
-    tape = _Tape(inputs, camera, settings, record, begin, count, place, tile_begin, members, last)
+    tape = _Tape(inputs, camera, settings, record, pairs, last)
     return Rendering(image, transmittance, radius, tape)
 
 
@@ -203,36 +196,16 @@ def rasterise_backward(
         raise ValueError(
             f"gradients of shapes {grad_image.shape} and {grad_transmittance.shape} for an image of {shape}"
         )
-    crowd = int(np.diff(tape.tile_begin).max())
+    crowd = int(np.diff(tape.pairs.tile_begin).max())
     if crowd >= LIST_MAX:
         raise ValueError(f"{crowd} Gaussians meet one tile; fewer than {LIST_MAX} allowed")
     camera, settings = tape.camera, tape.settings
+    alpha_max, background = np.float32(settings.alpha_max), np.array(settings.background, np.float32)
+    drawn, along = (rendering.transmittance, tape.last), (grad_image, grad_transmittance)
     with parallel_chunksize(1):
-        sums = unblend_tiles(
-            tape.record,
-            tape.tile_begin,
-            tape.members,
-            tape.last,
-            rendering.transmittance,
-            np.float32(settings.alpha_max),
-            np.array(settings.background, np.float32),
-            grad_image,
-            grad_transmittance,
-        )
-    return Gradients(
-        *unproject_gaussians(
-            sums,
-            tape.record,
-            tape.begin,
-            tape.count,
-            tape.place,
-            *tape.inputs[:4],
-            view_of(camera),
-            lens_of(camera),
-            camera.width,
-            camera.height,
-        )
-    )
+        sums = unblend_tiles(tape.record, tape.pairs, drawn, alpha_max, background, along)
+    seen = view_of(camera), lens_of(camera), camera.width, camera.height
+    return Gradients(*unproject_gaussians(sums, tape.record, tape.pairs, tape.inputs, *seen))
 
 
 def settings_of(info: RenderInfo) -> Settings:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import prange
@@ -18,6 +18,7 @@ from .constants import (
     F64,
     FAR,
     I32,
+    I64,
     LOG2_MIN,
     SLACK,
     TILE_HEIGHT,
@@ -30,6 +31,23 @@ PARTS = 16
 # The bounds of a pair's place in the list of its tile, which a float32 lane holds, and among all pairs, which an int32
 # holds.
 LIST_MAX, PAIRS_MAX = 1 << 24, 1 << 27
+
+
+class Pairs(NamedTuple):
+    """The pairs of Gaussians and tiles that list_tiles lists. P is their number.
+
+    begin, count: i64[N+1] and i32[N]. Gaussian i has room for its pairs at begin[i] : begin[i + 1]. The first count[i]
+    are used.
+    place: i32[begin[N]], for each pair its place among the pairs sorted by tile, then by depth.
+    tile_begin, members: i64[tiles+1] and i32[P]. The Gaussians of tile t, nearest first, are
+    members[tile_begin[t] : tile_begin[t + 1]].
+    """
+
+    begin: I64
+    count: I32
+    place: I32
+    tile_begin: I64
+    members: I32
 
 
 @compiled()
@@ -84,8 +102,8 @@ def sort_by_depth(depth: F64, room: I32) -> I32:
 def list_tiles(order: I32, record: F32, room: I32, columns: int, rows: int) -> Any:
     """Lists the pairs of Gaussians and tiles, by tile, then by depth.
 
-    Returns begin, count, place, tile_begin and members of _Tape.
-    order: as sort_by_depth gives it. record, room: as project_gaussians gives them. columns, rows: of tiles.
+    Returns the fields of Pairs. order: as sort_by_depth gives it. record, room: as project_gaussians gives them.
+    columns, rows: of tiles.
     """
     n, drawn, tiles = room.shape[0], order.shape[0], columns * rows
     begin, count = np.empty(n + 1, np.int64), np.empty(n, np.int32)
