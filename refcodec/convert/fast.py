@@ -246,14 +246,8 @@ def coded(given: Measured, error_per_bit: float) -> Coded:
     networks = {}
     for name, parts in OUTPUTS.items():
         wide = np.concatenate([np.arange(numbers_count)[part] for part in parts])
-        layers, maps = network(
-            steps[:, wide],
-            basis[np.ix_(wide, wide)],
-            middle[wide],
-            wide + 1,
-            numbers_count + 1,
-            hidden_units(classes, widest),
-        )
+        own = steps[:, wide], basis[np.ix_(wide, wide)], middle[wide]
+        layers, maps = network(*own, wide + 1, numbers_count + 1, hidden_units(classes, widest))
         for k in range(classes):
             mine = np.ix_(chosen == k, wide)
             symbols = maps.symbols(table[mine], k)
@@ -352,24 +346,13 @@ def converted(
         np.zeros((n, 1, 3), np.float32),
         np.ones((n, 1), bool),
     )
-    result = fit(
-        Given(
-            cloud,
-            grid=symbols.grid,
-            networks=symbols.networks,
-            render=replace(render, render_model=STATIC),
-            cameras=tuple(spread_cameras(cameras[TRAIN], stated)),
-            # Features, and the other attributes, which are 0.
-            base_step=(1.0, 1.0, 1.0),
-        ),
-        FitSettings(
-            steps=steps,
-            batch=BATCH,
-            network_learning_rate=LEARNING_RATE,
-            entropy=EntropySettings(slices=_slices(count)),
-        ),
-        progress=show,
-    )
+    static, shown = replace(render, render_model=STATIC), tuple(spread_cameras(cameras[TRAIN], stated))
+    # The steps of features, and of the other attributes, which are 0.
+    base_step = (1.0, 1.0, 1.0)
+    anchors = Given(cloud, None, symbols.grid, symbols.networks, static, shown, base_step)
+    entropy = EntropySettings(slices=_slices(count))
+    learning = FitSettings(steps=steps, batch=BATCH, network_learning_rate=LEARNING_RATE, entropy=entropy)
+    result = fit(anchors, learning, progress=show)
     return Fast(_packed(result.scene), reached, result.report["steps"] == steps)
 
 

@@ -45,11 +45,8 @@ INTEGER_BITS = 63
 # NumPy's type of the numbers of a storage. The upper half of a float32 is a bfloat16.
 _BFLOAT16 = "BFloat16Storage"
 _TYPES = {"HalfStorage": "<f2", "FloatStorage": "<f4", "DoubleStorage": "<f8", _BFLOAT16: "<u2"}
-_REBUILD, _PARAMETER, _DICT = (
-    "torch._utils _rebuild_tensor_v2",
-    "torch._utils _rebuild_parameter",
-    "collections OrderedDict",
-)
+_REBUILD, _PARAMETER = "torch._utils _rebuild_tensor_v2", "torch._utils _rebuild_parameter"
+_DICT = "collections OrderedDict"
 _INTEGERS = ("BoolStorage", "ByteStorage", "CharStorage", "ShortStorage", "IntStorage", "LongStorage")
 _STORAGES = {f"torch {storage}": storage for storage in (*_TYPES, *_INTEGERS)}
 # The functions that a state dict names: they make tensors, and none of them takes a size.

@@ -159,15 +159,8 @@ def check_camera(camera: Camera) -> None:
 
 def default_camera(stated: NamedCamera) -> Camera:
     """SPEC 5.17 and 14.2: returns a camera that a file states."""
-    return Camera(
-        OWN,
-        stated.width,
-        stated.height,
-        *stated.focal,
-        *stated.principal_point,
-        stated.matrix(),
-        np.array(stated.translation, np.float64),
-    )
+    lens, translation = (*stated.focal, *stated.principal_point), np.array(stated.translation, np.float64)
+    return Camera(OWN, stated.width, stated.height, *lens, stated.matrix(), translation)
 
 
 def named_camera(camera: Camera, name: str = OWN) -> NamedCamera:
@@ -178,15 +171,9 @@ def named_camera(camera: Camera, name: str = OWN) -> NamedCamera:
     def rounded(values: Any) -> Any:
         return tuple(np.asarray(values).astype(np.float32).tolist())
 
-    return NamedCamera(
-        name,
-        camera.width,
-        camera.height,
-        rounded([camera.fx, camera.fy]),
-        rounded([camera.cx, camera.cy]),
-        rounded(Rotation.from_matrix(camera.rotation).as_quat(scalar_first=True)),
-        rounded(camera.translation),
-    )
+    lens = rounded([camera.fx, camera.fy]), rounded([camera.cx, camera.cy])
+    turn = rounded(Rotation.from_matrix(camera.rotation).as_quat(scalar_first=True))
+    return NamedCamera(name, camera.width, camera.height, *lens, turn, rounded(camera.translation))
 
 
 def poses(cameras: Sequence[Camera]) -> F64:

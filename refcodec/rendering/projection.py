@@ -272,13 +272,6 @@ def lens_of(camera: Camera) -> tuple[float, ...]:
     The projection's derivative is taken within these limits (SPEC 14.4).
     """
     beyond_x, beyond_y = BEYOND * camera.width / camera.fx, BEYOND * camera.height / camera.fy
-    return (
-        float(camera.fx),
-        float(camera.fy),
-        float(camera.cx),
-        float(camera.cy),
-        -camera.cx / camera.fx - beyond_x,
-        (camera.width - camera.cx) / camera.fx + beyond_x,
-        -camera.cy / camera.fy - beyond_y,
-        (camera.height - camera.cy) / camera.fy + beyond_y,
-    )
+    slopes_x = -camera.cx / camera.fx - beyond_x, (camera.width - camera.cx) / camera.fx + beyond_x
+    slopes_y = -camera.cy / camera.fy - beyond_y, (camera.height - camera.cy) / camera.fy + beyond_y
+    return float(camera.fx), float(camera.fy), float(camera.cx), float(camera.cy), *slopes_x, *slopes_y

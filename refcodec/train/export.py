@@ -69,19 +69,8 @@ def _dimensions(model: RateModel, coding: dict[str, list[Layer]], rendering: Ren
     _, channels, plane_size, _ = model.latents.shape
     frequencies = coding["hyper"][0][0].shape[1] // 2 - channels
     columns = model.columns
-    return Dimensions(
-        columns.offsets,
-        columns.slices,
-        channels,
-        frequencies,
-        plane_size,
-        hyper,
-        sarm,
-        carm,
-        rendering.width,
-        rendering.view_inputs,
-        rendering.colour_outputs,
-    )
+    shown = rendering.width, rendering.view_inputs, rendering.colour_outputs
+    return Dimensions(columns.offsets, columns.slices, channels, frequencies, plane_size, hyper, sarm, carm, *shown)
 
 
 def weight_bytes(model: RateModel, rendering: RenderNetworks, layers: dict[str, list[Layer]], lanes: Lanes) -> int:

@@ -235,15 +235,9 @@ class _Fitting:
         hyperprior = VectorMatrix(d.plane_channels, d.frequency_count)
         start = torch.Generator().manual_seed(settings.seed)
         self.contexts = hyperprior.contexts(scene.frame, scene.positions, d.plane_size)
+        sizes, columns = (d.plane_size, choose_width(self.count)), Columns(d.slices, d.offset_count)
         self.model = RateModel(
-            hyperprior,
-            d.plane_size,
-            choose_width(self.count),
-            *_statistics(scene),
-            start,
-            settings.entropy,
-            scene.carm_shift,
-            Columns(d.slices, d.offset_count),
+            hyperprior, *sizes, *_statistics(scene), start, settings.entropy, scene.carm_shift, columns
         )
         groups = [{"params": [self.model.latents]}, {"params": self.model.coding_parameters()}]
         self.optimiser = torch.optim.Adam(groups)

@@ -83,14 +83,9 @@ def _folder_of(cloud: Path) -> Path:
 def _read_scene(folder: Path, voxel: float | None) -> Given:
     if is_uncompressed(folder):
         plain = read_uncompressed(folder)
-        return Given(
-            _cloud(plain.values, plain.masks),
-            voxel or _lattice(plain.voxel),
-            None,
-            plain.networks,
-            plain.render,
-            plain.cameras,
-        )
+        # An edge that a scene states, with a mantissa with which a lattice is exact.
+        edge = voxel or (plain.voxel and short_mantissa(plain.voxel))
+        return Given(_cloud(plain.values, plain.masks), edge, None, plain.networks, plain.render, plain.cameras)
     if not there(folder / SCENE_FILE, _ADVICE):
         raise ValueError(f"{folder} has neither {SCENE_FILE} nor {RENDER_FILE}: it is not a scene folder")
     scene = read_folder(folder)
@@ -99,11 +94,6 @@ def _read_scene(folder: Path, voxel: float | None) -> Given:
     check_view_dependent(scene.render)
     stated = tuple(cameras(scene.ancillary))
     return Given(_cloud(reconstruct(scene), scene.masks), voxel, grid, networks, scene.render, stated)
-
-
-def _lattice(voxel: float | None) -> float | None:
-    """An edge that a scene states, if it has a mantissa with which a lattice is exact."""
-    return voxel and short_mantissa(voxel)
 
 
 def _cloud(values: Reconstruction, masks: np.ndarray) -> AnchorCloud:

@@ -66,6 +66,6 @@ def visible(position: Tensor, tables: dict[str, Tensor], length: float, camera: 
     arrays = (v.numpy() for v in (position, tables["offsets"], tables["scalings"]))
     view = np.column_stack([camera.rotation, camera.translation]).astype(np.float32)
     sides = np.array(_sides(camera), np.float32)
-    constants = np.float32(REACH), np.float32(EXTENT)
-    seen = visible_rows(*arrays, np.float32(math.log(length)), view, np.float32(near), sides, *constants)
+    bounds = np.float32(REACH), np.float32(EXTENT)
+    seen = visible_rows(*arrays, np.float32(math.log(length)), view, np.float32(near), sides, bounds)
     return torch.from_numpy(np.flatnonzero(seen))

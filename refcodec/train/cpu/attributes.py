@@ -64,18 +64,9 @@ def _sums(bits: F32, kept: F32, features: int) -> Any:
 
 
 @compiled(parallel=True)
-def _sums_backward(
-    upstream: F32,
-    parts: F32,
-    kept: F32,
-    features: int,
-    scale: F32,
-    by_mean: F32,
-    by_scale: F32,
-    columns: I64,
-    more: int,
-) -> Any:
-    """Gradients of F_h's outputs, of CARM's changes [n, more], of symbols and of masks."""
+def _sums_backward(upstream: F32, given: Any) -> Any:
+    """Gradients of F_h's outputs, of CARM's changes [n, more], of symbols and of masks. given: of the forward pass."""
+    parts, kept, features, scale, by_mean, by_scale, columns, more = given
     offsets, width = kept.shape[1], scale.shape[1]
     begin = width - 3 * offsets
     out, change = np.empty((scale.shape[0], 2 * width), np.float32), np.empty((scale.shape[0], more), np.float32)
@@ -156,7 +147,7 @@ class AttributeBits(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *upstream: Tensor) -> tuple[Tensor | None, ...]:
-        out, change, by_symbols, by_kept = (torch.from_numpy(g) for g in _sums_backward(array(upstream[0]), *ctx.given))
+        out, change, by_symbols, by_kept = (torch.from_numpy(g) for g in _sums_backward(array(upstream[0]), ctx.given))
         hidden, *some = layer_backward(ctx.hyper, out, ctx.needs_input_grad[1])
         gradients = [torch.zeros(shape) for shape in ctx.shapes]
         for whole, part in zip(gradients, some, strict=True):

@@ -69,21 +69,8 @@ def _colours(chosen: I64, k: int, colour: F32, basis: F32) -> F32:
 
 
 @compiled(parallel=True)
-def _backward(
-    first: I64,
-    chosen: I64,
-    k: int,
-    offsets: F32,
-    scalings: F32,
-    share: F32,
-    lengths: F32,
-    rgb: F32,
-    basis: F32,
-    d_mean: F32,
-    d_quaternion: F32,
-    d_lengths: F32,
-    d_rgb: F32,
-) -> Any:
+def _backward(first: I64, chosen: I64, k: int, offsets: F32, scalings: F32, made: Any, upstream: Any) -> Any:
+    (share, lengths, rgb, basis), (d_mean, d_quaternion, d_lengths, d_rgb) = made, upstream
     n, count = scalings.shape[0], basis.shape[1]
     d_offsets, d_scalings = np.zeros((n, 3 * k), np.float32), np.zeros((n, 6), np.float32)
     d_covariance, d_colour = np.zeros((n, 7 * k), np.float32), np.zeros((n, 3 * max(count, 1) * k), np.float32)
@@ -114,19 +101,9 @@ class Spawn(torch.autograd.Function):
     """Spawn.apply(chosen, k, position, offsets, scalings, covariance, colour, centre), as spawn.spawn_torch."""
 
     @staticmethod
-    def forward(
-        ctx: Any,
-        chosen: Tensor,
-        k: int,
-        position: Tensor,
-        offsets: Tensor,
-        scalings: Tensor,
-        covariance: Tensor,
-        colour: Tensor,
-        centre: Tensor | None = None,
-    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        given = (offsets, scalings, covariance, colour)
-        arrays = [v.detach().contiguous().numpy() for v in (position, *given)]
+    def forward(ctx: Any, chosen: Tensor, k: int, position: Tensor, *given: Any) -> tuple[Tensor, ...]:
+        offsets, scalings, covariance, colour, centre = given
+        arrays = [v.detach().contiguous().numpy() for v in (position, offsets, scalings, covariance, colour)]
         *gaussians, share = _forward(chosen.numpy(), k, *arrays[:-1], centre is not None)
         mean, quaternion, lengths = (torch.from_numpy(v) for v in gaussians)
         basis = torch.empty(len(chosen), 0)
@@ -139,11 +116,9 @@ class Spawn(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *upstream: Tensor) -> tuple[Tensor | None, ...]:
-        chosen, offsets, scalings, share, lengths, rgb, basis = (v.contiguous() for v in ctx.saved_tensors)
-        first = torch.searchsorted(chosen, torch.arange(len(scalings) + 1) * ctx.k)
-        arrays = [
-            v.detach().numpy()
-            for v in (offsets, scalings, share, lengths, rgb, basis, *(g.contiguous() for g in upstream))
-        ]
-        gradients = _backward(first.numpy(), chosen.numpy(), ctx.k, *arrays)
+        chosen, *values = (v.contiguous() for v in ctx.saved_tensors)
+        offsets, scalings, *made = (v.detach().numpy() for v in values)
+        first = torch.searchsorted(chosen, torch.arange(len(scalings) + 1) * ctx.k).numpy()
+        along = tuple(g.contiguous().numpy() for g in upstream)
+        gradients = _backward(first, chosen.numpy(), ctx.k, offsets, scalings, tuple(made), along)
         return (None, None, None, *(torch.from_numpy(g) for g in gradients), None)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numba import prange
@@ -15,20 +16,13 @@ F32 = NDArray[np.float32]
 
 @compiled(parallel=True)
 def visible_rows(
-    position: F32,
-    offsets: F32,
-    scalings: F32,
-    length: np.float32,
-    view: F32,
-    near: np.float32,
-    sides: F32,
-    factor: np.float32,
-    extent: np.float32,
+    position: F32, offsets: F32, scalings: F32, length: np.float32, view: F32, near: np.float32, sides: F32, bounds: Any
 ) -> NDArray[np.bool_]:
     """bool [N]. view: [3, 4], of rotation and translation. length: the logarithm of a training unit's.
 
-    sides: [2, 3], see visible._sides. factor, extent: visible.REACH and visible.EXTENT.
+    sides: [2, 3], see visible._sides. bounds: visible.REACH and visible.EXTENT.
     """
+    factor, extent = bounds
     seen = np.empty(position.shape[0], np.bool_)
     for r in prange(position.shape[0]):
         square = np.float32(0)
