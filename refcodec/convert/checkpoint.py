@@ -83,12 +83,8 @@ def read_checkpoint(folder: Path, appearance: int | None = None) -> Converted:
         up_axis=up_axis(seen_from, cloud.positions.astype(np.float64)) if seen_from else RenderInfo.up_axis,
     )
     cameras = tuple(spread_cameras(seen_from, STATED))
-    values = Reconstruction(
-        cloud.positions,
-        cloud.features,
-        cloud.scalings,
-        np.where(cloud.masks[:, :, None], cloud.offsets, np.float32(0)),
-    )
+    offsets = np.where(cloud.masks[:, :, None], cloud.offsets, np.float32(0))
+    values = Reconstruction(cloud.positions, cloud.features, cloud.scalings, offsets)
     scene = Uncompressed(values, cloud.masks, networks, render, cameras, _lattice(cloud.positions, settings.voxel))
     return Converted(scene, embeddings)
 

@@ -339,13 +339,8 @@ def converted(
     rows = np.unique(np.linspace(0, len(judges) - 1, JUDGES).round().astype(int))
     symbols, reached = search(given, psnr, Judge(given, [judges[i] for i in rows], settings), show)
     n, count = symbols.features.shape
-    cloud = AnchorCloud(
-        symbols.positions,
-        symbols.features.astype(np.float32),
-        np.zeros((n, SCALINGS), np.float32),
-        np.zeros((n, 1, 3), np.float32),
-        np.ones((n, 1), bool),
-    )
+    others = np.zeros((n, SCALINGS), np.float32), np.zeros((n, 1, 3), np.float32), np.ones((n, 1), bool)
+    cloud = AnchorCloud(symbols.positions, symbols.features.astype(np.float32), *others)
     static, shown = replace(render, render_model=STATIC), tuple(spread_cameras(cameras[TRAIN], stated))
     # The steps of features, and of the other attributes, which are 0.
     base_step = (1.0, 1.0, 1.0)

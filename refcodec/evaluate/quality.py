@@ -13,6 +13,7 @@ F64 = NDArray[np.float64]
 
 # The window of SSIM: an 11 x 11 Gaussian of deviation 1.5; its constants for values from 0 to 1.
 _SIGMA, _HALF = 1.5, 5
+_WINDOW: dict[str, Any] = {"gaussian_weights": True, "sigma": _SIGMA, "use_sample_covariance": False}
 _C1, _C2 = 0.01**2, 0.03**2
 
 
@@ -29,17 +30,7 @@ def measures(made: NDArray[Any], photograph: NDArray[np.uint8]) -> dict[str, flo
     with np.errstate(divide="ignore"):
         return {
             "psnr": float(peak_signal_noise_ratio(photograph, rounded, data_range=255)),
-            "ssim": float(
-                structural_similarity(
-                    photograph,
-                    rounded,
-                    channel_axis=2,
-                    data_range=255,
-                    gaussian_weights=True,
-                    sigma=_SIGMA,
-                    use_sample_covariance=False,
-                )
-            ),
+            "ssim": float(structural_similarity(photograph, rounded, channel_axis=2, data_range=255, **_WINDOW)),
             "psnr_3dgs": float(-10 * np.log10(np.mean((cut - right) ** 2))),
             "ssim_3dgs": _ssim_3dgs(cut, right),
         }

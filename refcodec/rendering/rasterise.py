@@ -116,13 +116,8 @@ class Gradients:
 def _inputs(*values: ArrayLike) -> tuple[F32, F32, F32, F32, F32]:
     mean, quaternion, scale, opacity, colour = (np.ascontiguousarray(v, dtype=np.float32) for v in values)
     n = len(opacity) if opacity.ndim == 1 else -1
-    for name, value, shape in (
-        ("mean", mean, (n, 3)),
-        ("quaternion", quaternion, (n, 4)),
-        ("scale", scale, (n, 3)),
-        ("opacity", opacity, (n,)),
-        ("colour", colour, (n, 3)),
-    ):
+    shapes = {"mean": (n, 3), "quaternion": (n, 4), "scale": (n, 3), "opacity": (n,), "colour": (n, 3)}
+    for (name, shape), value in zip(shapes.items(), (mean, quaternion, scale, opacity, colour), strict=True):
         if value.shape != shape:
             raise ValueError(
                 f"{name}: shape {value.shape}, not {shape}; N is the length of opacity, which has one dimension"

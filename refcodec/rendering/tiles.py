@@ -36,15 +36,15 @@ LIST_MAX, PAIRS_MAX = 1 << 24, 1 << 27
 class Pairs(NamedTuple):
     """The pairs of Gaussians and tiles that list_tiles lists. P is their number.
 
-    begin, count: i64[N+1] and i32[N]. Gaussian i has room for its pairs at begin[i] : begin[i + 1]. The first count[i]
-    are used.
+    begin, counts: i64[N+1] and i32[N]. Gaussian i has room for its pairs at begin[i] : begin[i + 1], of which it uses
+    the first counts[i].
     place: i32[begin[N]], for each pair its place among the pairs sorted by tile, then by depth.
     tile_begin, members: i64[tiles+1] and i32[P]. The Gaussians of tile t, nearest first, are
     members[tile_begin[t] : tile_begin[t + 1]].
     """
 
     begin: I64
-    count: I32
+    counts: I32
     place: I32
     tile_begin: I64
     members: I32

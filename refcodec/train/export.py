@@ -115,12 +115,8 @@ def coded_scene(scaffold: Scaffold, rate: Rate, render: RenderInfo, cameras: Seq
     count, masks = len(rows), kept[rows]
     networks = {**model.networks(), **scaffold.networks.layers()}
     d = _dimensions(model, networks, scaffold.networks)
-    empty = Attributes(
-        np.zeros((count, d.features), np.int32),
-        np.zeros((count, SCALINGS), np.int32),
-        np.zeros((count, d.offset_count, 3), np.int32),
-        np.zeros((count, len(KINDS)), np.uint8),
-    )
+    features, scalings = np.zeros((count, d.features), np.int32), np.zeros((count, SCALINGS), np.int32)
+    offsets, steps = np.zeros((count, d.offset_count, 3), np.int32), np.zeros((count, len(KINDS)), np.uint8)
     scene = Scene(
         profile=MAIN,
         dimensions=d,
@@ -137,7 +133,7 @@ def coded_scene(scaffold: Scaffold, rate: Rate, render: RenderInfo, cameras: Seq
         mask_model=mask_model(masks),
         positions=half,
         masks=masks,
-        attributes=empty,
+        attributes=Attributes(features, scalings, offsets, steps),
         ancillary=camera_sections(cameras),
     )
     steps = derive_steps(scene)

@@ -16,7 +16,5 @@ def photometric_torch(image: Tensor, photograph: Tensor, ssim: float) -> Tensor:
 
 def photometric(image: Tensor, photograph: Tensor, ssim: float) -> Tensor:
     """photometric_torch, in a kernel on CPUs. Only the image has a gradient."""
-    if has_kernel(image):
-        loss: Tensor = Photometric.apply(image, photograph, ssim)
-        return loss
-    return photometric_torch(image, photograph, ssim)
+    loss: Tensor = (Photometric.apply if has_kernel(image) else photometric_torch)(image, photograph, ssim)
+    return loss

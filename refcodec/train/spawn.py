@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 from torch import Tensor
 
@@ -56,7 +58,6 @@ def spawn_torch(
 
 def spawn(chosen: Tensor, k: int, position: Tensor, *arrays: Tensor | None) -> Gaussians:
     """spawn_torch, in a kernel on CPUs. Positions have no gradient."""
-    if has_kernel(position):
-        gaussians: Gaussians = Spawn.apply(chosen, k, position, *arrays)
-        return gaussians
-    return spawn_torch(chosen, k, position, *arrays)  # type: ignore[arg-type]
+    make: Any = Spawn.apply if has_kernel(position) else spawn_torch
+    gaussians: Gaussians = make(chosen, k, position, *arrays)
+    return gaussians

@@ -127,13 +127,8 @@ def voxelise(points: F32, colours: NDArray[np.uint8], voxel: float | None = None
     features, scalings, offsets, masks = (np.concatenate(column) for column in zip(*parts, strict=True))
     # Colours do not change, for display. The following channels are each scaled to a deviation of one.
     features[:, 3:] /= np.maximum(features[:, 3:].std(axis=0), 1e-3)
-    return AnchorCloud(
-        anchors.astype(np.float32),
-        features.astype(np.float32),
-        scalings.astype(np.float32),
-        offsets.astype(np.float32),
-        masks,
-    )
+    kinds = features.astype(np.float32), scalings.astype(np.float32), offsets.astype(np.float32)
+    return AnchorCloud(anchors.astype(np.float32), *kinds, masks)
 
 
 def _describe(

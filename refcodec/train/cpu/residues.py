@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from ...rendering.compiled import compiled
+from .likelihood import array
 
 F32 = NDArray[np.float32]
 
@@ -93,11 +94,6 @@ def _seeds(seed: int, count: int) -> list[np.uint64]:
     return [np.uint64((seed + (i << 48)) % (1 << 64)) for i in range(count)]
 
 
-def _array(value: Tensor) -> F32:
-    array: F32 = value.detach().contiguous().numpy()
-    return array
-
-
 class WithResidues(torch.autograd.Function):
     """WithResidues.apply(steps, seed, *values) -> a tensor for each: values + residue * step, which the image shows.
 
@@ -111,17 +107,17 @@ class WithResidues(torch.autograd.Function):
     def forward(ctx: Any, steps: Tensor, seed: int | None, *values: Tensor) -> tuple[Tensor, ...]:
         ctx.save_for_backward(steps, *values)
         ctx.seed = seed
-        seeds, size = _seeds(seed or 0, len(values)), _array(steps)
-        shown = [_shown(_array(v), size, i, seeds[i], seed is None) for i, v in enumerate(values)]
+        seeds, size = _seeds(seed or 0, len(values)), array(steps)
+        shown = [_shown(array(v), size, i, seeds[i], seed is None) for i, v in enumerate(values)]
         return tuple(torch.from_numpy(v) for v in shown)
 
     @staticmethod
     def backward(ctx: Any, *upstream: Tensor) -> tuple[Tensor | None, ...]:
         steps, *values = ctx.saved_tensors
-        seeds, size = _seeds(ctx.seed or 0, len(values)), _array(steps)
+        seeds, size = _seeds(ctx.seed or 0, len(values)), array(steps)
         gradient = np.empty(size.shape, np.float32)
         for i, (v, g) in enumerate(zip(values, upstream, strict=True)):
-            _shown_backward(_array(v), size, i, seeds[i], ctx.seed is None, _array(g), gradient)
+            _shown_backward(array(v), size, i, seeds[i], ctx.seed is None, array(g), gradient)
         return torch.from_numpy(gradient), None, *upstream
 
 
@@ -134,19 +130,19 @@ class Symbols(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, steps: Tensor, seed: int | None, *values: Tensor) -> Tensor:
         ctx.save_for_backward(steps, *values)
-        seeds, size, begin = _seeds(seed or 0, len(values)), _array(steps), 0
+        seeds, size, begin = _seeds(seed or 0, len(values)), array(steps), 0
         symbols = np.empty((len(size), sum(v.shape[1] for v in values)), np.float32)
         for i, v in enumerate(values):
-            _symbols(_array(v), size, i, seeds[i], seed is None, symbols, begin)
+            _symbols(array(v), size, i, seeds[i], seed is None, symbols, begin)
             begin += v.shape[1]
         return torch.from_numpy(symbols)
 
     @staticmethod
     def backward(ctx: Any, *upstream: Tensor) -> tuple[Tensor | None, ...]:
         steps, *values = ctx.saved_tensors
-        size, given, begin = _array(steps), _array(upstream[0]), 0
+        size, given, begin = array(steps), array(upstream[0]), 0
         gradient, gradients = np.empty(size.shape, np.float32), []
         for i, v in enumerate(values):
-            gradients.append(torch.from_numpy(_symbols_backward(_array(v), size, i, given, begin, gradient)))
+            gradients.append(torch.from_numpy(_symbols_backward(array(v), size, i, given, begin, gradient)))
             begin += v.shape[1]
         return torch.from_numpy(gradient), None, *gradients
