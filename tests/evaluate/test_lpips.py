@@ -82,12 +82,8 @@ def test_against_modules(tmp_path: Path) -> None:
 
 def test_what_is_wrong_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     def refused(path: Path) -> str:
-        command = [
-            "eval",
-            str(ROOT / "vectors" / "tiny-example.c3gs"),
-            str(ROOT / "examples" / "photographs" / "caliterra"),
-        ]
-        assert main([*command, "--lpips", str(path)]) == 64
+        file, photographs = ROOT / "vectors" / "tiny-example.c3gs", ROOT / "examples" / "photographs" / "caliterra"
+        assert main(["eval", str(file), str(photographs), "--lpips", str(path)]) == 64
         return capsys.readouterr().err
 
     path = tmp_path / "w.safetensors"
@@ -116,10 +112,8 @@ def test_the_converter(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: 
     pack(pickle.dumps(pickled, 3).replace(b"numpy._core.multiarray", b"numpy.core.multiarray"))
     monkeypatch.setattr("sys.argv", ["lpips_weights.py", str(archive), "-o", str(tmp_path / "w.safetensors")])
     assert lpips_weights.main() == 0
-    assert np.array_equal(
-        Lpips(tmp_path / "w.safetensors").weights["conv1.weight"].numpy(),
-        pickled["VGG16_0"]["Conv_1"]["kernel"].transpose(3, 2, 0, 1),
-    )
+    kernel = pickled["VGG16_0"]["Conv_1"]["kernel"].transpose(3, 2, 0, 1)
+    assert np.array_equal(Lpips(tmp_path / "w.safetensors").weights["conv1.weight"].numpy(), kernel)
 
     class Evil:
         def __reduce__(self) -> tuple:

@@ -86,11 +86,8 @@ def test_no_anchor_is_left_out_that_could_be_seen(photographs: PhotographSet, tr
         assert float((images[0] - images[1]).abs().max()) < 1e-3
     fresh = beginning(photographs, 500)
     # The camera looks the other way: no anchor is in front of it.
-    turned = replace(
-        camera,
-        rotation=np.diag([-1.0, 1, -1]) @ camera.rotation,
-        translation=np.diag([-1.0, 1, -1]) @ camera.translation,
-    )
+    turn = np.diag([-1.0, 1, -1])
+    turned = replace(camera, rotation=turn @ camera.rotation, translation=turn @ camera.translation)
     assert len(fresh.visible(turned)) < 0.05 * fresh.count < 0.5 * len(fresh.visible(camera))
     share = fresh.views([camera, camera])
     assert set(torch.nonzero(share)[:, 0].tolist()) == set(fresh.visible(camera).tolist())

@@ -105,7 +105,6 @@ def test_a_report_that_is_none(
 
 @pytest.mark.slow
 def test_a_folder_where_a_file_belongs(place: Path, source: str, tmp_path: Path, refused: Callable[..., str]) -> None:
-    assert "is coded already" in refused("encode", place / "scene", "-o", tmp_path / "x.c3gs", "--lambda", "0.01")
     assert main(["render", str(place / "scene"), "-o", str(tmp_path / "one")]) == 0
     assert main(["render", str(place / "scene.c3gs"), "-o", str(tmp_path / "two")]) == 0
     drawn = [(tmp_path / name / "default.png").read_bytes() for name in ("one", "two")]

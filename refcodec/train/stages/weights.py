@@ -54,10 +54,8 @@ class Weights(Stage):
             networks.set_units(self.run.scaffold.tables["features"])
             # SPEC 7.2: the integers of a static scene's networks.
             bits = min(bits[0], STATIC_BITS), min(bits[1], STATIC_BITS)
-        for grid, (least, most) in (
-            (networks.set_grid, bits),
-            (self.rate.started().set_grid, settings.weights.coarser),
-        ):
+        coding = self.rate.started()
+        for grid, (least, most) in ((networks.set_grid, bits), (coding.set_grid, settings.weights.coarser)):
             losses = []
             for choice in range(least, most + 1):
                 grid(choice)
