@@ -314,14 +314,16 @@ CONTENTS: list[tuple[Path | str, bytes | None, str]] = [
         ("cameras.json", text, "not JSON")
         for text in (b"[" * 1000, b"[NaN]", b"[{}", b"\xff", b'[{"a": 1, "a": 2}]', b"")
     ),
-    *(("cameras.json", text, "is wrong") for text in (b"{}", b"null", b"7", b'"a"', b"[null]", b"[[]]", b"[{}]")),
-    *(("cameras.json", other_camera(width=width), "[1].width") for width in (0, True, "64", None, [64], 1e30)),
-    *(("cameras.json", other_camera(fx=fx), "[1].fx") for fx in ("x", {}, 10**39)),
-    *(("cameras.json", other_camera(fy=fy), "[1].fy") for fy in (-1, 0)),
+    *(("cameras.json", text, "a list is required") for text in (b"{}", b"null", b"7", b'"a"')),
+    *(("cameras.json", text, "[0] in its text is") for text in (b"[null]", b"[[]]")),
+    ("cameras.json", b"[{}]", "[0]/width in its text is missing"),
+    *(("cameras.json", other_camera(width=width), "[1]/width") for width in (0, True, "64", None, [64], 1e30)),
+    *(("cameras.json", other_camera(fx=fx), "[1]/fx") for fx in ("x", {}, 10**39)),
+    *(("cameras.json", other_camera(fy=fy), "[1]/fy") for fy in (-1, 0)),
     ("cameras.json", other_camera(rotation=[[1, 0, 0]] * 3), "[1] has a matrix that is not a rotation"),
     ("cameras.json", other_camera(rotation=[[1, 0, 0], [0, 1, 0], [0, 0, -1]]), "[1] has a matrix that is not"),
-    *(("cameras.json", other_camera(rotation=r), "[1].rotation") for r in ("identity", [1, 0, 0], [["1"] * 3] * 3)),
-    *(("cameras.json", other_camera(position=p), "[1].position") for p in ([1, 2], [1, 2, [3]], [1, 2, "3"], {"x": 1})),
+    *(("cameras.json", other_camera(rotation=r), "[1]/rotation") for r in ("identity", [1, 0, 0], [["1"] * 3] * 3)),
+    *(("cameras.json", other_camera(position=p), "[1]/position") for p in ([1, 2], [1, 2, [3]], [1, 2, "3"], {"x": 1})),
 ]
 
 
