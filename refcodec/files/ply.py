@@ -1,7 +1,7 @@
 """PLY files whose elements have numbers only, as structured arrays, with bounded headers.
 
-Point clouds and splats are such files. Lists, as the faces of meshes have, are refused: each row of one would be a
-Python object.
+Point clouds and splats are such files. Rows of lists, as the faces of meshes have, are refused: each would be a Python
+object.
 """
 
 from __future__ import annotations
@@ -157,8 +157,11 @@ def _header(file: BinaryIO, size: int) -> tuple[str, list[_Element]]:
         elif first == "property":
             if not words or len(words[-1]) > NAME_MAX:
                 raise PlyError(f"a property must have a name of at most {NAME_MAX} characters")
-            if words[0] == "list":
-                raise PlyError("it has a property of lists, as meshes have; only numbers are allowed")
+            if words[0] == "list" and elements:
+                # Programs for meshes write faces for point clouds, too, and no row of them.
+                if elements[-1].rows:
+                    raise PlyError(f"it is a mesh: its element {elements[-1].name} has lists; only points are allowed")
+                continue
             if not elements or len(words) != 2 or words[0] not in _TYPES:
                 raise PlyError(f"a property must have a type and a name, after an element: {' '.join(words)}")
             elements[-1].fields.append((words[1], _TYPES[words[0]]))
@@ -188,10 +191,9 @@ def _header_lines(file: BinaryIO) -> list[str]:
             raise PlyError(f"its header is longer than {HEADER_MAX} bytes, or a line of it than {LINE_MAX}")
         if not line.endswith(b"\n"):
             raise PlyError("its header has no end")
-        try:
-            lines.append(line.decode("ascii").strip("\r\n"))
-        except UnicodeDecodeError:
-            raise PlyError("its header is not ASCII") from None
+        lines.append(line.decode("latin-1").strip())
+        if not lines[-1].isascii() and not lines[-1].startswith(("comment", "obj_info")):
+            raise PlyError("its header is not ASCII")
         if lines[0] != "ply":
             raise PlyError("it does not begin with ply")
     return lines

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import mmap
 from collections.abc import Iterator
+from contextvars import ContextVar
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -55,6 +56,26 @@ class ContentError(ValueError):
     def __init__(self, problem: str, advice: str | None = None) -> None:
         super().__init__(problem)
         self.advice = advice
+
+
+_remarks: ContextVar[list[str] | None] = ContextVar("remarks", default=None)
+
+
+def remark(text: str) -> None:
+    """Reports what a reader changed or ignored, to the innermost `remarks`."""
+    if (texts := _remarks.get()) is not None:
+        texts.append(text)
+
+
+@contextlib.contextmanager
+def remarks() -> Iterator[list[str]]:
+    """Yields the list that gets the texts of `remark` in the block."""
+    texts: list[str] = []
+    token = _remarks.set(texts)
+    try:
+        yield texts
+    finally:
+        _remarks.reset(token)
 
 
 @contextlib.contextmanager

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,8 +13,8 @@ from numpy.typing import NDArray
 
 from ..files import ply
 from ..files.outputs import Kind
-from .common import ContentError, Data, Options, check_count
-from .harmonics import REST
+from .common import ContentError, Data, Options, check_count, remark
+from .harmonics import REST, ZERO
 from .splats import Splats
 
 # A comment in the files of refcodec.
@@ -50,19 +52,51 @@ def rest_columns(table: NDArray[Any], kinds: str = "fiu") -> NDArray[np.float32]
 
     Raises ContentError for a number that fits no degree.
     """
-    count = sum(name.startswith("f_rest_") for name in ply.names_of(table))
+    count = stated = sum(name.startswith("f_rest_") for name in ply.names_of(table))
+    if stated > 3 * max(REST) and stated % 3 == 0 and math.isqrt(stated // 3 + 1) ** 2 == stated // 3 + 1:
+        remark(f"its harmonics of degree {math.isqrt(stated // 3 + 1) - 1} are cut to degree {len(REST) - 1}")
+        count = 3 * max(REST)
     if count % 3 or count // 3 not in REST:
         allowed = " or ".join(str(3 * rest) for rest in REST)
         raise ContentError(f"it has {count} coefficients f_rest, but must have {allowed}")
-    values = columns(table, _numbered("f_rest", count), kinds)
+    names = [f"f_rest_{channel * stated // 3 + number}" for channel in range(3) for number in range(count // 3)]
+    values = columns(table, names, kinds)
     return np.ascontiguousarray(values.reshape(len(table), 3, count // 3).transpose(0, 2, 1))
 
 
 def read(tables: Tables) -> Splats:
-    """Returns the Gaussians of the elements of a file, with properties in any order. Raises ContentError."""
+    """Returns the Gaussians of the elements of a file, with properties in any order. Raises ContentError.
+
+    Means are float64 if those of the file are.
+    """
     vertex = tables["vertex"]
-    parts = {name: columns(vertex, properties) for name, properties in _PROPERTIES.items()}
-    return Splats(rest=rest_columns(vertex), opacity=columns(vertex, ["opacity"])[:, 0], **parts)
+    names = ply.names_of(vertex)
+    for name, problem, advice in _KINDS:
+        if (name.removeprefix("-") in names and name[0] != "-") or (name[0] == "-" and name[1:] not in names):
+            raise ContentError(problem, advice)
+    base = _PROPERTIES["base"]
+    parts: dict[str, NDArray[Any]] = {name: columns(vertex, own) for name, own in _PROPERTIES.items() if own != base}
+    if vertex["x"].dtype.itemsize > 4:
+        # Coordinates of a map need all bits of theirs until an offset is subtracted.
+        with np.errstate(invalid="ignore"):
+            parts["mean"] = np.stack([vertex[name].astype(np.float64) for name in _PROPERTIES["mean"]], axis=1)
+    if base[0] not in names and {*_COLOURS} <= {*names}:
+        remark("its colours are bytes: they are the same from all directions")
+        parts["base"] = ((columns(vertex, _COLOURS, "u") / 255 - 0.5) / ZERO).astype(np.float32)
+    else:
+        parts["base"] = columns(vertex, base)
+    splats = Splats(rest=rest_columns(vertex), opacity=columns(vertex, ["opacity"])[:, 0], **parts)
+    return _filtered(splats, columns(vertex, [_FILTER])) if _FILTER in names else splats
+
+
+def _filtered(splats: Splats, width: NDArray[np.float32]) -> Splats:
+    """Returns Gaussians with the filter of Mip-Splatting (Yu et al., 2024, section 5.1): width [n, 1], world units."""
+    remark(f"its {_FILTER} is applied to axes and opacities")
+    axes = np.exp(2 * splats.scale.astype(np.float64))
+    wider = axes + width.astype(np.float64) ** 2
+    opacity = 1 / (1 + np.exp(-splats.opacity.astype(np.float64))) * np.sqrt((axes / wider).prod(axis=1))
+    logit = np.log(np.maximum(opacity, 1e-9) / np.maximum(1 - opacity, 1e-9))
+    return replace(splats, scale=(np.log(wider) / 2).astype(np.float32), opacity=logit.astype(np.float32))
 
 
 def write(splats: Splats, _: Options) -> bytes:
@@ -80,6 +114,14 @@ def write(splats: Splats, _: Options) -> bytes:
 def _numbered(stem: str, count: int) -> list[str]:
     return [f"{stem}_{number}" for number in range(count)]
 
+
+# Files of other kinds by a property that they have, or with - lack: what they are, and what helps.
+_KINDS = (
+    ("f_offset_0", "it is a model of Scaffold-GS, not a splat", "give its folder to convert"),
+    ("-rot_0", "it is a point cloud, not a splat", "train from photographs, or fit it"),
+    ("-scale_2", "its Gaussians are flat, as those of 2DGS, which have no third axis", "export 3D Gaussians"),
+)
+_COLOURS, _FILTER = ["red", "green", "blue"], "filter_3D"
 
 # The properties of each array of Splats but opacity and rest.
 _PROPERTIES = {

@@ -2,22 +2,29 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..files.outputs import Kind
-from ..files.present import mapped
+from ..files.ply import PlyError, property_names
+from ..files.present import NotAFileError, is_there, mapped
+from ..files.text import counted
 from ..folder.layout import SceneFolderError, there
 from . import compressed_ply, glb, ply, sog, spz
-from .common import ADVICE, ContentError, Data, Options, errors_in
-from .splats import Splats
+from .common import ADVICE, ContentError, Data, Options, errors_in, remark, remarks
+from .splats import Splats, rows_of
+
+F64 = NDArray[np.float64]
 
 # Logits and logarithms beyond these have no effect in float32.
 LOGIT_MAX, LOGARITHM_MAX = 20.0, 40.0
+# Gaussians are far away at so many times the size that this share of them has.
+FAR, SHARE = 1000, 0.99
 # The largest coordinate and the largest coefficient. Squares of larger ones overflow float32, or nearly so.
 LARGEST = {"mean": 1e9, "base": 1e9, "rest": 1e9}
 
@@ -67,29 +74,73 @@ def is_splat_file(file: Path) -> bool:
     return file.name == sog.META or suffix_of(file) is not None
 
 
+def model_splats(folder: Path) -> Path | None:
+    """Returns the splat file of the last iteration in the folder of a model of 3DGS; None for other folders."""
+    found = folder.glob("point_cloud/iteration_*/point_cloud.ply")
+    # iteration_30000 is behind iteration_7000.
+    file = max(found, key=lambda path: (len(path.parent.name), path), default=None)
+    with contextlib.suppress(PlyError, NotAFileError, OSError):
+        names = property_names(file) if file and is_there(file) else []
+        return file if "f_dc_0" in names and "f_offset_0" not in names else None
+    return None
+
+
 def read_splats(file: Path) -> Splats:
     """Returns the Gaussians of a splat file, at least one, all with finite numbers.
 
     Raises SceneFolderError, and OSError.
     """
+    return read_located(file, np.zeros(3))[0]
+
+
+def read_located(file: Path, offset: F64 | None, note: Callable[[str], None] = lambda text: None) -> tuple[Splats, F64]:
+    """Returns the Gaussians of a splat file as read_splats, and what was subtracted from their means, float64 [3].
+
+    offset: to subtract, before anything is rounded to float32. None: whole numbers near the middle if the Gaussians are
+    so far from the world's origin that float32 would blur them, as in coordinates of a map, and else zeros. note:
+    receives what was changed, ignored or left out. Raises SceneFolderError, and OSError.
+    """
     if not is_splat_file(file) or not there(file, ADVICE):
         problem = "the file does not exist" if is_splat_file(file) else "its name has no suffix of a splat file"
         raise SceneFolderError(file, problem, f"give a file of 3D Gaussians ({', '.join(FORMATS)})")
-    with errors_in(file):
-        if (suffix := suffix_of(file)) is None:
-            return _checked(sog.read_folder(file))
-        return _checked(FORMATS[suffix].read(mapped(file)))
+    with errors_in(file), remarks() as texts:
+        suffix = suffix_of(file)
+        splats = _checked(FORMATS[suffix].read(mapped(file)) if suffix else sog.read_folder(file))
+        mean = splats.mean.astype(np.float64)
+        if offset is None:
+            middle = np.median(mean, axis=0)
+            size = np.quantile(np.abs(mean - middle).max(axis=1) + np.exp(splats.scale.max(axis=1)), SHARE)
+            offset = np.rint(middle) if np.abs(middle).max() > FAR * size else np.zeros(3)
+            if offset.any():
+                remark(f"far from the world's origin for its size: {offset.tolist()} is subtracted from positions")
+    for text in texts:
+        note(f"{file}: {text}")
+    return replace(splats, mean=(mean - offset if offset.any() else splats.mean).astype(np.float32, copy=False)), offset
 
 
 def _checked(splats: Splats) -> Splats:
-    """Returns Gaussians with bounded logits and logarithms. Raises ContentError for other numbers out of range."""
+    """Returns Gaussians with bounded logits and logarithms, without those that have no place or no shape.
+
+    Raises ContentError if none is left, and for other numbers out of range.
+    """
+    finite = np.ones(len(splats.mean), bool)
+    for name, values in vars(splats).items():
+        # Logits and logarithms of infinity have a meaning.
+        wrong = np.isnan(values) if name in ("opacity", "scale") else ~np.isfinite(values)
+        finite &= ~wrong.reshape(len(values), -1).any(axis=1)
+    turned = (splats.quaternion != 0).any(axis=1)
+    if not (finite & turned).any():
+        raise ContentError("each of its Gaussians has a number that is NaN or infinite, or a quaternion of 0")
+    for rows, what in ((finite, "a number that is NaN or infinite"), (turned | ~finite, "a quaternion of 0")):
+        if not rows.all():
+            remark(f"{counted(int((~rows).sum()), 'Gaussian')} with {what}: left out")
+    if not (finite & turned).all():
+        splats = rows_of(splats, finite & turned)
     arrays = vars(splats) | {
         "opacity": splats.opacity.clip(-LOGIT_MAX, LOGIT_MAX),
         "scale": splats.scale.clip(-LOGARITHM_MAX, LOGARITHM_MAX),
     }
     for name, values in arrays.items():
-        if not np.isfinite(values).all():
-            raise ContentError(f"a {name} is NaN or infinite")
         if name in LARGEST and np.abs(values).max(initial=0) > LARGEST[name]:
             raise ContentError(f"a {name} is beyond {LARGEST[name]:g}")
     return Splats(**arrays)

@@ -15,6 +15,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from numpy.typing import NDArray
 
 pytest.importorskip("PIL", reason="SOG has images")
 
@@ -22,11 +23,20 @@ from plyfile import PlyData
 
 from benchmarks.peers.convert import as_read, convert, tool
 from refcodec.bitstream.cameras import rotation_matrix
+from refcodec.files.ply import names_of, parse_ply, ply_bytes
 from refcodec.formats import packing
 from refcodec.formats.common import BITS_LEAST, BITS_MOST, Options
-from refcodec.formats.harmonics import REST, rest_harmonics
+from refcodec.formats.harmonics import REST, ZERO, rest_harmonics
 from refcodec.formats.splats import Splats, rows_of
-from refcodec.formats.table import FORMATS, read_splats, splats_up, suffix_of, write_splats
+from refcodec.formats.table import (
+    FORMATS,
+    model_splats,
+    read_located,
+    read_splats,
+    splats_up,
+    suffix_of,
+    write_splats,
+)
 
 FOREIGN = Path(__file__).with_name("foreign")
 AXES = [sign * np.eye(3)[axis] for sign in (1, -1) for axis in range(3)]
@@ -321,3 +331,58 @@ def test_splat_transform_reads_it(suffix: str, degree: int, tmp_path: Path) -> N
         most = packing.logits(np.ones(1), packing.BYTE_OPACITY_LEAST).astype("f4")[0]
         restored = replace(restored, opacity=restored.opacity.clip(-most, most))
     assert_near(restored, wanted, dict.fromkeys(vars(restored), 4e-6) | {"opacity": 2e-5, "quaternion": 2e-5})
+
+
+def ply_with(splats: Splats, without: str = "-", **more: NDArray[Any]) -> bytes:
+    """A PLY file of Gaussians without the properties of a stem, and with others."""
+    table = parse_ply(write_splats(splats, ".ply"))["vertex"]
+    columns = {name: table[name] for name in names_of(table) if not name.startswith(without)} | more
+    made = np.empty(len(table), [(name, values.dtype) for name, values in columns.items()])
+    for name, values in columns.items():
+        made[name] = values
+    return ply_bytes({"vertex": made})
+
+
+def test_ply_files_of_other_programs(tmp_path: Path) -> None:
+    """What a file has instead of 3DGS's properties, or besides them, is used, and said."""
+    file, splats, notes = tmp_path / "a.ply", made(20, 3), list[str]()
+
+    def located(data: bytes, note: str) -> tuple[Splats, list[float]]:
+        file.write_bytes(data)
+        notes.clear()
+        read, offset = read_located(file, None, notes.append)
+        assert len(notes) == 1
+        assert note in notes[0]
+        return read, offset.tolist()
+
+    red = np.arange(20, dtype=np.uint8)
+    coloured, _ = located(ply_with(splats, "f_", red=red, green=red, blue=red), "colours are bytes")
+    np.testing.assert_allclose(0.5 + ZERO * coloured.base[:, 1], red / 255, atol=1e-6)
+    # Mip-Splatting: a ball gets the squares of both lengths, and the opacity the quotient of the volumes.
+    ball = replace(splats, scale=np.zeros_like(splats.scale), opacity=np.zeros_like(splats.opacity))
+    filtered, _ = located(ply_with(ball, filter_3D=np.full(20, 2, np.float32)), "filter_3D is applied")
+    np.testing.assert_allclose(filtered.scale, np.log(5) / 2, rtol=1e-6)
+    np.testing.assert_allclose(1 / (1 + np.exp(-filtered.opacity)), 0.5 / 5**1.5, rtol=1e-5)
+    # Of 72 coefficients, each channel has 24. Those of degree 3 are the first 15.
+    rest = {f"f_rest_{i}": np.full(20, i, np.float32) for i in range(72)}
+    cut, _ = located(ply_with(splats, "f_rest", **rest), "degree 4 are cut to degree 3")
+    assert cut.rest[0, :, 1].tolist() == list(range(24, 39))
+    # UTM, 0.25 m and a map's origin in whole metres.
+    there = {name: 5e6 + 0.25 + splats.mean[:, i].astype(np.float64) for i, name in enumerate("xyz")}
+    near, offset = located(ply_with(splats, **there), "is subtracted")
+    np.testing.assert_allclose(near.mean + np.array(offset) - 5e6, splats.mean + 0.25, atol=1e-6)
+    assert np.abs(near.mean).max() < 10
+    moved, _ = read_located(file, np.array([5e6, 5e6, 5e6]))
+    np.testing.assert_allclose(moved.mean, splats.mean + 0.25, atol=1e-6)
+
+
+def test_the_folder_of_a_model(tmp_path: Path) -> None:
+    """Its splat is that of the last iteration. Models of Scaffold-GS have none."""
+    for name, more in (("7000", {}), ("30000", {}), ("100000", {"f_offset_0": np.zeros(3, np.float32)})):
+        folder = tmp_path / "point_cloud" / f"iteration_{name}"
+        folder.mkdir(parents=True)
+        (folder / "point_cloud.ply").write_bytes(ply_with(made(3, 0), **more))
+    assert model_splats(tmp_path) is None
+    (folder / "point_cloud.ply").unlink()
+    assert model_splats(tmp_path) == tmp_path / "point_cloud" / "iteration_30000" / "point_cloud.ply"
+    assert model_splats(folder) is None
