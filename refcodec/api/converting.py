@@ -7,19 +7,23 @@ import os
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Unpack
+from statistics import fmean
+from typing import TYPE_CHECKING, Unpack
 
 from ..files.lock import errors_of
 from ..files.stage import folder_beside, write_file
-from ..files.text import shell_word
+from ..files.text import counted, shell_word
 from ..statuses import DONE, INTERRUPTED, UsageError
 from . import kinds
 from .command import Report, Word, command, is_given, refusing
 from .learning import TrainingWords, run_training
 
-_VIEWS = 200
+if TYPE_CHECKING:
+    from ..rendering.camera import Camera
+
+_VIEWS, _C3GS = 200, ".c3gs"
 # Words that apply to splat files only, and those of them that apply to a training only.
-_OF_SPLATS = ("views", "cameras", "pictures", "steps", "lambda_r", "size", "psnr", "fast")
+_OF_SPLATS = ("views", "cameras", "offset", "pictures", "steps", "lambda_r", "size", "psnr", "fast")
 _OF_TRAINING = ("pictures", "lambda_r", "seed", "resume", "background", "holdout", "anchors", "voxel", "set")
 
 
@@ -31,7 +35,9 @@ class ConvertWords(TrainingWords, total=False):
         psnr: --fast: PSNR of pictures to those of the splats (default: 46).
         appearance: model: number of the training camera whose appearance the scene gets (default: the mean of all).
         views: splats: pictures to train from (default: 200; --fast: 32).
-        cameras: splats: a cameras.json as 3DGS writes it.
+        cameras: splats: whose cameras draw them: a cameras.json as 3DGS writes it, a C3GS file, or a folder of a 3DGS
+            model or of photographs.
+        offset: splats: subtract X,Y,Z from all positions (default: for splats far from the world's origin, the middle).
         pictures: splats: keep the pictures, as photographs for eval.
         lambda_r: splats: lambda_r of the training (default: 0.004).
         preset: splats: training preset (default: fast).
@@ -45,7 +51,8 @@ class ConvertWords(TrainingWords, total=False):
     psnr: kinds.Decibels | None
     appearance: kinds.Count | None
     views: kinds.Positive | None
-    cameras: kinds.FilePath | None
+    cameras: kinds.SplatCameras | None
+    offset: kinds.Offset | None
     pictures: kinds.Folder | None
     lambda_r: kinds.Lambda | None
     resume: bool
@@ -80,10 +87,10 @@ def convert(source: kinds.AnyPath, output: kinds.SceneFolder, **words: Unpack[Co
         convert scene.spz -o scene --up=+y --size 800 --lambda 0.002 --steps 8000
     """
     from ..formats.sog import META
-    from ..formats.table import FORMATS, is_splat_file
+    from ..formats.table import FORMATS, is_splat_file, model_splats
 
     path = Path(source)
-    splats = path / META if (path / META).is_file() else path
+    splats = path / META if (path / META).is_file() else model_splats(path) or path
     if path.is_dir() and splats == path:
         _refuse(words, _OF_SPLATS, f"splat files: omit it for {path}")
         return _convert_model(path, Path(output), words)
@@ -130,44 +137,86 @@ def _convert_model(source: Path, output: Path, words: ConvertWords) -> Report:
     return Report([line, hint], {"anchors": count}, notes)
 
 
+def _cameras(source: Path, file: kinds.StrPath | None, size: str) -> list[Camera]:
+    """Returns the cameras of a file or folder, or those beside a splat file; none if there are none.
+
+    size: of photographs.
+    """
+    from ..convert.notes import CAMERAS_FILE
+    from ..convert.pictures import stated_cameras
+    from ..photographs.as_trained import stated_photographs
+    from .opening import open
+
+    if file is None or not (Path(file).is_dir() or Path(file).suffix.lower() == _C3GS):
+        return stated_cameras(source, file)
+    place = Path(file)
+    if (place / CAMERAS_FILE).is_file():
+        return stated_cameras(source, place / CAMERAS_FILE)
+    if place.is_dir():
+        photographs = stated_photographs(place, size)
+        return [p.camera for p in (*photographs.train, *photographs.test)]
+    with open(place) as opened:
+        cameras = opened.cameras
+    if not cameras:
+        raise UsageError(f"{place} has no cameras: give another file, or omit --cameras")
+    return cameras
+
+
 def _convert_fast(source: Path, output: Path, words: ConvertWords) -> Report:
     """Converts a splat file to a file of a static scene, without a training of the scene."""
     from ..bitstream.codec import emit
     from ..bitstream.header import RenderInfo
     from ..convert import fast
-    from ..convert.pictures import chosen_cameras, stated_cameras, up_of
+    from ..convert.pictures import chosen_cameras, georeference, moved, up_of
     from ..convert.views import near_plane
+    from ..folder.metadata import with_entries
     from ..folder.places import C3GS, check_outputs, progress_bar
-    from ..formats.table import read_splats
+    from ..formats.table import read_located
     from ..rendering.camera import STATED, nearest_axis
     from .shown import note_compiling
 
     check_outputs([source], (output, C3GS))
-    cameras, splats = stated_cameras(source, words.get("cameras")), read_splats(source)
-    note_compiling()
+    if output.suffix.lower() != _C3GS:
+        raise UsageError(f"{output} must end in {_C3GS}: --fast writes a file, not a scene folder")
+    notes: list[str] = []
     up, size = up_of(source, words.get("up")), words.get("size") or str(fast.SIDE)
-    chosen = chosen_cameras(cameras, splats, up, size, words.get("views") or fast.VIEWS)
+    cameras = _cameras(source, words.get("cameras"), size)
+    splats, offset = read_located(source, kinds.place(words.get("offset")), notes.append)
+    cameras = moved(cameras, offset)
+    note_compiling()
+    chosen = chosen_cameras(cameras, splats, up, size, words.get("views") or fast.VIEWS, True)
     render = RenderInfo(up_axis=nearest_axis(up), near_plane=near_plane(splats))
     psnr, steps = words.get("psnr") or fast.PSNR, words.get("steps") or fast.STEPS
     with progress_bar(words) as show, refusing(f"{source} cannot be converted"):
         made = fast.converted(splats, chosen, render, STATED if cameras else 1, psnr, steps, show)
-        data = emit(made.scene, progress=show)
+        data = emit(with_entries(made.scene, georeference(offset)), progress=show)
     write_file(output, data)
-    count = f"{made.scene.anchor_count:,} of {len(splats.mean):,} Gaussians"
-    line = f"{output}: {len(data):,} bytes, {count}, {made.psnr:.1f} dB to {source}"
-    notes = []
-    if abs(made.psnr - psnr) > 1:
-        notes.append(f"refcodec: {psnr:g} dB were not reached: the file has the nearest quality that was found")
+    count, reached = f"{made.scene.anchor_count:,} of {len(splats.mean):,} Gaussians", fmean(made.psnr)
+    places = "cameras of the splats" if cameras else "cameras around and among the splats"
+    lines = [
+        f"{output}: {len(data):,} bytes, {count}",
+        f"PSNR to {source}: {reached:.1f} dB in {counted(len(made.psnr), 'picture')} of {size} pixels by {places}, "
+        f"{min(made.psnr):.1f} in the worst",
+    ]
+    if made.faint or made.dropped:
+        lines.append(f"left out: {made.faint:,} Gaussians too faint for any picture, {made.dropped:,} of little effect")
+    if not cameras:
+        notes.append("refcodec: where people will look from was guessed; --cameras states it")
+    if reached < psnr - 1:
+        notes.append(f"refcodec: {psnr:g} dB were not reached: this is the best quality that was found")
+    if reached > psnr + 1:
+        notes.append(f"refcodec: {psnr:g} dB were passed: no smaller file was found")
     if not made.whole:
         notes.append("refcodec: stopped early; the file is written, but larger than necessary")
-    values = {"bytes": len(data), "anchors": made.scene.anchor_count, "psnr": made.psnr}
-    return Report([line], values, notes, status=DONE if made.whole else INTERRUPTED)
+    values = {"bytes": len(data), "anchors": made.scene.anchor_count, "psnr": reached, "worst": min(made.psnr)}
+    return Report(lines, values, notes, status=DONE if made.whole else INTERRUPTED)
 
 
 def _train(source: Path, output: Path, words: ConvertWords) -> Report:
     """Draws a splat file from cameras, and trains a scene from these pictures."""
-    from ..convert.pictures import check_pictures, draw_pictures, stated_cameras
+    from ..convert.pictures import check_pictures, draw_pictures, georeference, moved, up_of
     from ..folder.places import check_outputs, progress_bar
+    from ..formats.table import read_located
     from ..photographs.as_trained import stated_photographs
     from ..train.command import state_path
     from ..train.place import STATE, check_state
@@ -185,7 +234,10 @@ def _train(source: Path, output: Path, words: ConvertWords) -> Report:
     drawn = not (resume and kept and kept.is_dir())
     if kept and drawn:
         check_pictures(kept, output)
-    cameras, views = stated_cameras(source, words.get("cameras")), words.get("views") or _VIEWS
+    cameras = _cameras(source, words.get("cameras"), settings.size)
+    views, notes = words.get("views") or _VIEWS, list[str]()
+    splats, offset = read_located(source, kinds.place(words.get("offset")), notes.append)
+    cameras = moved(cameras, offset)
     note_compiling()
     with contextlib.ExitStack() as beside, refusing(f"{source} cannot be used for training"):
         folder = kept or Path()
@@ -193,7 +245,9 @@ def _train(source: Path, output: Path, words: ConvertWords) -> Report:
             folder = beside.enter_context(folder_beside((kept or output).absolute().parent)) / "pictures"
             with errors_of(kept or output), progress_bar(words) as show:
                 folder.mkdir()
-                draw_pictures(source, cameras, folder, up, settings.size, views, settings.background, show)
+                draw_pictures(
+                    splats, cameras, folder, up_of(source, up), settings.size, views, settings.background, show
+                )
         # The pictures have their own split.
         photographs = stated_photographs(folder, settings.size, settings.background, settings.holdout)
         report = run_training(
@@ -206,8 +260,9 @@ def _train(source: Path, output: Path, words: ConvertWords) -> Report:
             resume=resume,
             progress=words.get("progress", False),
             up_axis=kinds.axis_number(up),
+            metadata=georeference(offset) if settings.rate.lambda_r else {},
         )
         if drawn and kept:
             with errors_of(kept):
                 folder.replace(kept)
-    return report
+    return replace(report, notes=[*notes, *report.notes])

@@ -70,6 +70,7 @@ Key = Annotated[str, WordKind("KEY")]
 Pattern = Annotated[str, WordKind("PATTERN")]
 Change = Annotated[str, WordKind("NAME=VALUE")]
 Meta = Annotated[str, WordKind("KEY=VALUE|FILE")]
+SplatCameras = Annotated[StrPath, _path("FILE|PHOTOGRAPHS")]
 FitCameras = Annotated[StrPath, _path("PHOTOGRAPHS")]
 Count = Annotated[int, _number(int, "N", "a whole number of at least 0", 0)]
 Positive = Annotated[int, _number(int, "N", "a whole number of at least 1", 1)]
@@ -84,6 +85,9 @@ CodedLambda = Annotated[float, _number(float, "L", "a number above 0 and at most
 FitLambda = Annotated[float, _number(float, "L", "a number from 0.000001 to 1", 1e-6, 1)]
 Length = Annotated[float, _number(float, "V", "a number above 0", math.ulp(0.0))]
 Decibels = Annotated[float, _number(float, "DB", "a number from 20 to 70", 20, 70)]
+Offset = Annotated[
+    str, WordKind("X,Y,Z", "three numbers such as 5e5,5.4e6,0", right=lambda text: place(text) is not None)
+]
 # SPEC 13.1
 Work = Annotated[int, _number(int, "UNITS", "a whole number of at least 0", 0)]
 Bytes = Annotated[int, WordKind("BYTES", "a number of bytes such as 800M", _byte_count, get_args(Positive)[1].right)]
@@ -98,6 +102,18 @@ Write = Callable[[str], object]
 Stages = Sequence[Any]
 # The kinds of words that only Python has.
 PYTHON = (Write, Stages)
+
+
+def place(text: Any) -> Any:
+    """Returns three numbers, float64 [3], or None for another text and for None."""
+    import numpy as np
+
+    words = text.split(",") if isinstance(text, str) else []
+    try:
+        numbers = [float(word) for word in words]
+    except ValueError:
+        return None
+    return np.array(numbers) if len(numbers) == 3 and all(map(math.isfinite, numbers)) else None
 
 
 def axis_number(up: str | None) -> int | None:

@@ -32,9 +32,9 @@ from ..train.fit import fit
 from ..train.fit_input import Given
 from ..train.settings import EntropySettings, FitSettings
 from .drawing import drawn
-from .importance import COLOUR, LENGTHS, LOGIT, TURN, importance, numbers, tensors_of
+from .importance import COLOUR, LENGTHS, LOGIT, TURN, importance, numbers, own_importance, tensors_of
 from .linear import FAR, hidden_units, network
-from .views import TEST, TRAIN
+from .views import JUDGES, TEST, TRAIN
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -48,6 +48,8 @@ CLASSES = 4
 LOGIT_MAX, LOGIT_MEASURED = 8.0, 4.0
 # A Gaussian is dropped if its absence costs less than this many bits: that many are saved, but absences add up.
 BITS = 12
+# What a picture from near counts, relative to the mean of those by cameras.
+NEAR_SHARE = 1.0
 # The steps of positions, relative to those of equal slope: an error moves whole Gaussians, and derivatives of pictures
 # underestimate it (own measurement).
 POSITION = 0.4
@@ -65,10 +67,12 @@ COLOURS = (3, 3, 6, 12, 24)
 SPARSE = 0.5
 # The search for the quality: cameras, tries, and the largest difference in dB that ends it. The quality falls by
 # about SLOPE dB where lambda is tenfold.
-JUDGES, TRIES, TOLERANCE, SLOPE = 8, 6, 0.05, 9.0
+TRIES, TOLERANCE, SLOPE = 6, 0.05, 9.0
 # Positions: the share of means that choose the middle of the lattice, bits of its unit, the share of taken cells that
 # makes it finer, and the moves out of a taken cell, which are tried in this order.
 INLIERS, VOXEL_BITS, CROWDED = 0.95, 4, 0.1
+# The largest coordinate of the lattice in cells. A Gaussian beyond has an offset of at most so many units.
+END, OFFSET_MOST = 0.4 * 2**CELL_LEVELS, 1 << 13
 AROUND, DISTANCES = [np.array(step) for step in sorted(np.ndindex(2, 2, 2), key=sum)[1:]], (1, -1, 2, -2, 3, -3)
 # The entropy model: steps of training, and what differs from a fit of longer training.
 STEPS, BATCH, LEARNING_RATE = 600, 2048, 0.02
@@ -101,10 +105,15 @@ class Measured:
 class Coded:
     """Symbols of some Gaussians, and the networks that decode them.
 
-    positions: float32 [n, 3], on the lattice. features: int64 [n, F]. table: the decoded numbers, [n, numbers].
+    positions: float32 [n, 3], on the lattice. offsets: int64 [n, 3], and the exponent of their unit, int64 [n], which
+    are 0 but for the few Gaussians beyond the lattice. mean: float32 [n, 3], of both (SPEC 9.4). features: int64
+    [n, F]. table: the decoded numbers, [n, numbers].
     """
 
     positions: F32
+    offsets: I64
+    exponent: I64
+    mean: F32
     grid: PositionGrid
     features: I64
     networks: dict[str, list[Layer]]
@@ -113,10 +122,16 @@ class Coded:
 
 @dataclass(frozen=True)
 class Fast:
-    """A converted scene. psnr: of its pictures, dB. whole: whether its entropy model is trained to the end."""
+    """A converted scene.
+
+    psnr: of its pictures, dB. faint, dropped: the numbers of Gaussians that no picture can show, and whose absence
+    costs less than their bits. whole: whether its entropy model is trained to the end.
+    """
 
     scene: Scene
-    psnr: float
+    psnr: list[float]
+    faint: int
+    dropped: int
     whole: bool
 
 
@@ -135,6 +150,9 @@ def measured(splats: Splats, cameras: Sequence[Camera], settings: Settings, prog
     # A pixel is linear in an opacity.
     absence = by_number[:, column] / (1 - opacity) ** 2
     by_number[:, column] *= (own * (1 - own) / (opacity * (1 - opacity))) ** 2
+    # The picture that all Gaussians fill evenly stands for those that somebody may take from near.
+    pictures, near = (by_mean, by_number, absence), own_importance(table)
+    by_mean, by_number, absence = (a + NEAR_SHARE / len(table) * b for a, b in zip(pictures, near, strict=True))
     return Measured(chosen.mean, table, by_mean, by_number, absence)
 
 
@@ -163,15 +181,16 @@ def _step(error_per_bit: float, weight: F64 | float) -> F64:
 def _lattice(given: Measured, error_per_bit: float) -> tuple[PositionGrid, F32]:
     """Returns the grid of positions, and the positions on its lattice, float32 [n, 3].
 
-    No two positions are equal, as far as possible: a chunk of equal ones cannot be packed (SPEC 6.11).
+    The few Gaussians far out, such as a sky, do not make the lattice coarser: they get positions at its ends. No two
+    positions are equal, as far as possible: a chunk of equal ones cannot be packed (SPEC 6.11).
     """
     mean = given.mean.astype(np.float64)
-    # The few Gaussians far out do not decide where fp16 is exact.
+    # The few Gaussians far out do not decide where fp16 is exact, either.
     away = np.abs(mean - np.median(mean, axis=0)).max(axis=1)
     core = mean[away <= np.quantile(away, INLIERS)]
-    reach = float(np.abs(mean - (core.min(axis=0) + core.max(axis=0)) / 2).max())
+    reach = float((core.max(axis=0) - core.min(axis=0)).max()) / 2
     # All cells are within the tree. Multiples of a mantissa of VOXEL_BITS bits are exact in float32.
-    least = max(reach / (0.4 * 2**CELL_LEVELS), float(np.abs(mean).max()) * 2.0 ** (VOXEL_BITS - 24)) or 1.0
+    least = max(reach / END, float(np.abs(core).max()) * 2.0 ** (VOXEL_BITS - 24)) or 1.0
     voxel = min(max(float(POSITION * _step(error_per_bit, given.by_mean.mean())), least), max(reach, least))
     # A finer lattice does not separate equal means.
     crowded = CROWDED + 1 - len(np.unique(mean, axis=0)) / len(mean)
@@ -184,7 +203,7 @@ def _lattice(given: Measured, error_per_bit: float) -> tuple[PositionGrid, F32]:
         )
         unit = grid.scale_mantissa * 2.0**grid.scale_exponent
         origin = np.array([o * 2.0 ** (grid.scale_exponent - 24) for o in grid.origin])
-        exact = (mean[order] - origin) / unit
+        exact = ((mean[order] - origin) / unit).clip(-END, END)
         cell = _rounded(exact)
         if _late(cell).mean() <= crowded or voxel / 2 < least:
             break
@@ -255,7 +274,14 @@ def coded(given: Measured, error_per_bit: float) -> Coded:
             features[np.ix_(chosen == k, wide + 1)] = symbols
         networks[name] = _with_w(layers) if name == "covariance" else layers
     grid, positions = _lattice(given, error_per_bit)
-    return Coded(positions, grid, features, networks, decoded)
+    rest = given.mean.astype(np.float64) - positions
+    unit, longest = grid.scale_mantissa * 2.0**grid.scale_exponent, np.abs(rest).max(axis=1)
+    # Equal means are a few voxels from theirs.
+    far = longest > 2 * max(DISTANCES) * unit
+    exponent = np.where(far, np.ceil(np.log(np.maximum(longest, unit) / OFFSET_MOST)), 0).astype(np.int64)
+    offsets = np.where(far[:, None], np.rint(rest / np.exp(exponent)[:, None]), 0).astype(np.int64)
+    mean = (positions + offsets * np.exp(exponent)[:, None]).astype(np.float32)
+    return Coded(positions, offsets, exponent, mean, grid, features, networks, decoded)
 
 
 def _with_w(layers: list[Layer]) -> list[Layer]:
@@ -284,24 +310,28 @@ class Judge:
             images = [drawn(splats, camera, self.settings)[0] for camera in self.cameras]
         return [image.clamp(0, 1).double().numpy() for image in images]
 
-    def psnr(self, coded: Coded) -> float:
-        """Returns the mean PSNR of the pictures of decoded Gaussians, in dB, at most 100."""
-        pairs = zip(self._drawn(coded.positions, coded.table), self.truth, strict=True)
-        return float(np.mean([-10 * np.log10(max(np.square(a - b).mean(), 1e-10)) for a, b in pairs]))
+    def psnr(self, coded: Coded) -> list[float]:
+        """Returns the PSNR of each picture of decoded Gaussians, in dB, at most 100."""
+        pairs = zip(self._drawn(coded.mean, coded.table), self.truth, strict=True)
+        return [float(-10 * np.log10(max(np.square(a - b).mean(), 1e-10))) for a, b in pairs]
 
 
-def search(given: Measured, psnr: float, judge: Judge, progress: Progress) -> tuple[Coded, float]:
-    """Returns the symbols whose pictures have a PSNR, in dB, as nearly as a few tries find them; and their PSNR."""
+def search(given: Measured, psnr: float, judge: Judge, progress: Progress) -> tuple[Coded, list[float]]:
+    """Returns the symbols whose pictures have a mean PSNR, in dB, as nearly as a few tries find them.
+
+    Also returns the PSNR of each picture.
+    """
     # The squared error of each number is that of its step.
     error_per_bit = 10 ** (-psnr / 10) * 2 * math.log(2) / given.table.size
     tries: list[tuple[float, float]] = []
-    best: tuple[Coded, float] | None = None
+    best: tuple[Coded, list[float]] | None = None
     for number in range(TRIES):
         tried = coded(given, error_per_bit)
-        reached = judge.psnr(tried)
+        each = judge.psnr(tried)
+        reached = float(np.mean(each))
         progress("search", number + 1, TRIES)
-        if best is None or abs(reached - psnr) < abs(best[1] - psnr):
-            best = tried, reached
+        if best is None or abs(reached - psnr) < abs(np.mean(best[1]) - psnr):
+            best = tried, each
         if abs(reached - psnr) <= TOLERANCE:
             break
         tries.append((math.log10(error_per_bit), reached))
@@ -339,16 +369,18 @@ def converted(
     rows = np.unique(np.linspace(0, len(judges) - 1, JUDGES).round().astype(int))
     symbols, reached = search(given, psnr, Judge(given, [judges[i] for i in rows], settings), show)
     n, count = symbols.features.shape
-    others = np.zeros((n, SCALINGS), np.float32), np.zeros((n, 1, 3), np.float32), np.ones((n, 1), bool)
+    scalings = np.repeat([symbols.exponent, np.zeros(n)], SCALINGS // 2, axis=0).T.astype(np.float32)
+    others = scalings, symbols.offsets[:, None].astype(np.float32), np.ones((n, 1), bool)
     cloud = AnchorCloud(symbols.positions, symbols.features.astype(np.float32), *others)
     static, shown = replace(render, render_model=STATIC), tuple(spread_cameras(cameras[TRAIN], stated))
-    # The steps of features, and of the other attributes, which are 0.
+    # The steps of features, scalings and offsets.
     base_step = (1.0, 1.0, 1.0)
     anchors = Given(cloud, None, symbols.grid, symbols.networks, static, shown, base_step)
     entropy = EntropySettings(slices=_slices(count))
     learning = FitSettings(steps=steps, batch=BATCH, network_learning_rate=LEARNING_RATE, entropy=entropy)
     result = fit(anchors, learning, progress=show)
-    return Fast(_packed(result.scene), reached, result.report["steps"] == steps)
+    faint, dropped = len(splats.mean) - len(given.mean), len(given.mean) - n
+    return Fast(_packed(result.scene), reached, faint, dropped, result.report["steps"] == steps)
 
 
 def _slices(count: int) -> tuple[int, ...]:

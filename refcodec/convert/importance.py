@@ -22,6 +22,10 @@ F64 = NDArray[np.float64]
 LENGTHS, LOGIT, TURN, COLOUR = slice(0, 3), slice(3, 4), slice(4, 7), slice(7, None)
 # Random pictures of signs, for each camera.
 PROBES = 2
+# Of a Gaussian that fills a picture: the squared contrast to what is behind it, the mean square of exp(-r^2 / 2) over
+# its pixels, and the mean square of a harmonic over directions. The least axis is this share of the longest one: a
+# thinner one is below a pixel.
+CONTRAST, SQUARE, HARMONIC, THIN = 0.1, 0.5, 1 / (4 * np.pi), 0.02
 
 
 def _product(a: F64, b: F64) -> F64:
@@ -85,6 +89,33 @@ def tensors_of(mean: Tensor, table: Tensor) -> dict[str, Tensor]:
         "scale": table[:, LENGTHS],
         "quaternion": torch.cat([torch.ones_like(table[:, :1]), table[:, TURN]], dim=1),
     }
+
+
+def own_importance(table: F64) -> tuple[F64, F64, F64]:
+    """Returns the importance in a picture that a Gaussian fills: of means [n, 3], of the table, and of absence [n].
+
+    An error matters in relation to the Gaussian's own size, and by the square of its opacity. A view along an axis
+    shows the other two: the area that a thin axis has counts as little as it is.
+    """
+    alpha = 1 / (1 + np.exp(-table[:, LOGIT]))
+    lengths = np.exp(table[:, LENGTHS])
+    lengths = np.maximum(lengths, THIN * lengths.max(axis=1, keepdims=True))
+    first, second, third = -np.sort(-lengths, axis=1).T[:, :, None]
+    seen = alpha**2 * SQUARE * CONTRAST
+
+    def turned(long: F64, short: F64, area: F64) -> F64:
+        """A turn in the plane of two axes moves their ends across."""
+        moved: F64 = area * (long**2 - short**2) ** 2 / (long**3 * short)
+        return moved
+
+    by_number = np.empty_like(table)
+    by_number[:, LENGTHS] = seen / 2 * (1 + (second + third) / first) / 3
+    by_number[:, LOGIT] = (alpha * (1 - alpha)) ** 2 * SQUARE * CONTRAST
+    turns = turned(first, second, np.ones_like(first)) + turned(first, third, third / second)
+    by_number[:, TURN] = 4 * seen * (turns + turned(second, third, third / first)) / 3
+    by_number[:, COLOUR] = alpha**2 * SQUARE * HARMONIC
+    by_mean = np.repeat(seen * (1 / first**2 + 1 / (first * second) + 1 / (first * third)) / 3, 3, axis=1)
+    return by_mean, by_number, seen[:, 0]
 
 
 def importance(

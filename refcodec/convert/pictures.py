@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..bitstream.batches import Progress
 from ..formats.splats import Splats
-from ..formats.table import read_splats, splats_up
+from ..formats.table import splats_up
 from ..photographs.images import parse_background, parse_size
 from ..rendering.camera import Camera
 from ..statuses import UsageError
@@ -18,6 +19,17 @@ from . import views
 from .notes import CAMERAS_FILE, read_cameras
 
 F64 = NDArray[np.float64]
+
+
+def moved(cameras: list[Camera], offset: F64) -> list[Camera]:
+    """Returns cameras at places from which an offset is subtracted, float64 [3]."""
+    return [replace(c, translation=c.translation + c.rotation @ offset) for c in cameras]
+
+
+def georeference(offset: F64) -> dict[str, str]:
+    """SPEC 6.14: returns the entry of metadata for an offset that was subtracted; none for zeros."""
+    rows = np.column_stack([np.eye(4)[:, :3], [*offset, 1]])
+    return {"georeference": " ".join(f"{number:.17g}" for number in rows.ravel())} if offset.any() else {}
 
 
 def stated_cameras(source: Path, file: str | os.PathLike[str] | None) -> list[Camera]:
@@ -41,10 +53,12 @@ def up_of(source: Path, up: str | None) -> F64:
     return views.AXES[up] if up else splats_up(source)
 
 
-def chosen_cameras(cameras: list[Camera], splats: Splats, up: F64, size: str, count: int) -> dict[str, list[Camera]]:
+def chosen_cameras(
+    cameras: list[Camera], splats: Splats, up: F64, size: str, count: int, among: bool = False
+) -> dict[str, list[Camera]]:
     """Returns cameras by purpose: a selection of the given ones, or else cameras around the splats.
 
-    size: the sides of pictures. Raises UsageError.
+    size: the sides of pictures. among: whether there are as many generated ones among the splats. Raises UsageError.
     """
     try:
         sides = parse_size(size)
@@ -53,26 +67,26 @@ def chosen_cameras(cameras: list[Camera], splats: Splats, up: F64, size: str, co
     side = max(sides) if isinstance(sides, tuple) else sides
     if cameras:
         return views.given(cameras, count, side)
-    return views.orbit(splats, up, side or views.SIDE, count, max(count // views.TEST_EVERY, 1))
+    tests = max(count // views.TEST_EVERY, views.JUDGES if among else 1)
+    return (views.generated if among else views.orbit)(splats, up, side or views.SIDE, count, tests)
 
 
 def draw_pictures(
-    source: Path,
+    splats: Splats,
     cameras: list[Camera],
     folder: Path,
-    up: str | None,
+    up: F64,
     size: str,
     count: int,
     background: str,
     progress: Progress,
 ) -> None:
-    """Writes the pictures of a splat file to a folder. Arguments and errors: as for the functions above."""
+    """Writes the pictures of splats to a folder. Arguments and errors: as for the functions above."""
     try:
         colour = parse_background(background)
     except ValueError as error:
         raise UsageError(str(error)) from None
-    splats = read_splats(source)
-    chosen = chosen_cameras(cameras, splats, up_of(source, up), size, count)
+    chosen = chosen_cameras(cameras, splats, up, size, count)
     views.write_photographs(splats, chosen, folder, progress, colour)
 
 

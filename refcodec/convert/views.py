@@ -1,8 +1,8 @@
 """Pictures of splats, from given or generated cameras, as a NeRF folder of photographs.
 
-Generated cameras look at the middle of the splats from a sphere around it, as in NeRF's synthetic scenes. Training
-cameras are spread evenly over the sphere. Test cameras follow a spiral around it. The renderer of refcodec draws the
-images, which are the ground truth of the scene.
+Generated cameras stand around the splats and among them. Those around look at the middle from a sphere, as in NeRF's
+synthetic scenes: training cameras are spread evenly over it, and test cameras follow a spiral. Those among the splats
+look at a surface from free space. The renderer of refcodec draws the images, which are the ground truth of the scene.
 """
 
 from __future__ import annotations
@@ -44,8 +44,13 @@ TURNS = 3
 SHARE, MARGIN = 0.99, 1.1
 # The near plane in radii, at most that of 3DGS in world units.
 NEAR, NEAR_MAX = 0.01, 0.2
-# Every N-th picture is for tests.
-TEST_EVERY = 8
+# Cameras among the splats: their distances from what they look at, in radii; the directions that are tried, and the
+# sine of the steepest one; the first and the last point of a line of sight, in distances, and the number of points;
+# the least opacity of a Gaussian that is in the way; how far it must be, in distances from the target; and the side of
+# the largest area that counts, in radii.
+DISTANCES, DIRECTIONS, STEEP, SIGHT, SOLID, CLEAR, AREA = (0.25, 0.5, 1.0), 64, 0.8, (0.15, 1.0, 12), 0.3, 0.5, 0.05
+# Every N-th picture is for tests. So many judge a file without a training.
+TEST_EVERY = JUDGES = 8
 # The number of initial points of a training run, drawn from Gaussians that are not nearly transparent.
 POINTS, OPAQUE = 200_000, 0.1
 AXES = {f"{sign}{axis}": (1 if sign == "+" else -1) * np.eye(3)[i] for sign in "+-" for i, axis in enumerate("xyz")}
@@ -85,17 +90,63 @@ def orbit(splats: Splats, up: F64, size: int, train: int, test: int) -> dict[str
     side = side - (side @ up) * up
     side /= np.linalg.norm(side)
     base = np.stack([side, np.cross(up, side), up])
-    focal = size / 2 / math.tan(ANGLE / 2)
     groups: dict[str, list[Camera]] = {}
     for purpose, (height, turn) in heights_and_turns.items():
         flat = np.sqrt(1 - height**2)
         groups[purpose] = []
         for number, away in enumerate(np.stack([flat * np.cos(turn), flat * np.sin(turn), height], axis=1) @ base):
-            rotation, name = looking(-away, up), f"{purpose}/r_{number}"
             place = middle + away * MARGIN * radius / math.sin(ANGLE / 2)
-            camera = Camera(name, size, size, focal, focal, size / 2, size / 2, rotation, -rotation @ place)
-            groups[purpose].append(camera)
+            groups[purpose].append(_camera(f"{purpose}/r_{number}", size, place, -away, up))
     return groups
+
+
+def _camera(name: str, size: int, place: F64, direction: F64, up: F64) -> Camera:
+    """Returns a camera at a place that looks along a direction."""
+    rotation, focal = looking(direction, up), size / 2 / math.tan(ANGLE / 2)
+    return Camera(name, size, size, focal, focal, size / 2, size / 2, rotation, -rotation @ place)
+
+
+def among(splats: Splats, up: F64, size: int, train: int, test: int) -> dict[str, list[Camera]]:
+    """Returns cameras in free space among the splats, by purpose. Arguments: as for orbit.
+
+    Each looks at a Gaussian from DISTANCES radii. Gaussians are drawn by their area and opacity. Of DIRECTIONS, that is
+    taken whose line of sight is the farthest from solid Gaussians, in relation to the distance from the target.
+    """
+    from scipy.spatial import KDTree  # noqa: PLC0415 (slow to load, and only here)
+
+    mean, scale = splats.mean.astype(np.float64), -np.sort(-np.exp(splats.scale.astype(np.float64)), axis=1)
+    opacity = 1 / (1 + np.exp(-splats.opacity.astype(np.float64)))
+    middle, radius = middle_and_radius(splats)
+    # Neither the sky nor what floats far out is a target.
+    core = np.linalg.norm(mean - middle, axis=1) <= radius
+    solid = core & (opacity >= SOLID)
+    tree = KDTree(mean[solid if solid.any() else core])
+    area = np.minimum(scale[:, 0] * scale[:, 1], (AREA * radius) ** 2)
+    share = np.where(core, opacity * area, 0)
+    height, turn = spiral(DIRECTIONS, -STEEP, STEEP)
+    side = looking(up, np.roll(up, 1) + np.array((0.1, 0.2, 0.3)))[:2]
+    flat = np.sqrt(1 - height**2)
+    away = np.stack([flat * np.cos(turn), flat * np.sin(turn), height], axis=1) @ np.stack([*side, up])
+    along = np.linspace(*SIGHT)
+    groups: dict[str, list[Camera]] = {TRAIN: [], TEST: []}
+    targets = np.random.default_rng(0).choice(len(share), train + test, p=share / share.sum())
+    for number, target in enumerate(targets):
+        distance = radius * DISTANCES[number % len(DISTANCES)]
+        sight = mean[target] + distance * along[None, :, None] * away[:, None, :]
+        clear = (tree.query(sight.reshape(-1, 3))[0].reshape(sight.shape[:2]) / along).min(axis=1)
+        # Every second one stands on the side of the middle if it can: a room is seen from inside, too.
+        inside = (clear >= CLEAR * distance) & (away @ (middle - mean[target]) > 0)
+        best = away[(clear * inside if number % 2 and inside.any() else clear).argmax()]
+        purpose = TRAIN if number < train else TEST
+        name = f"{purpose}/near_{number}"
+        groups[purpose].append(_camera(name, size, mean[target] + distance * best, -best, up))
+    return groups
+
+
+def generated(splats: Splats, up: F64, size: int, train: int, test: int) -> dict[str, list[Camera]]:
+    """Returns cameras around the splats, and as many among them, by purpose. Arguments: as for orbit."""
+    half = [orbit(splats, up, size, (train + 1) // 2, (test + 1) // 2), among(splats, up, size, train // 2, test // 2)]
+    return {purpose: [*half[0][purpose], *half[1][purpose]] for purpose in (TRAIN, TEST)}
 
 
 def given(cameras: Sequence[Camera], most: int, size: int | None) -> dict[str, list[Camera]]:
