@@ -174,10 +174,12 @@ def _faults(manifest: Manifest) -> Iterator[str]:
 def parse(document: Any, folder: Path) -> Manifest:
     """Returns the manifest of a JSON document. folder: of its files. Raises ManifestError."""
     try:
-        found = msgspec.convert(document, _Document)
+        stated = msgspec.convert(document, _Document)
     except msgspec.ValidationError as error:
         raise ManifestError(printable(str(error), _WRONG)) from None
-    manifest = Manifest(found.suite_version, found.format_version, found.flags, found.features, found.vectors, folder)
+    manifest = Manifest(
+        stated.suite_version, stated.format_version, stated.flags, stated.features, stated.vectors, folder
+    )
     for fault in _faults(manifest):
         raise ManifestError(printable(fault, _WRONG))
     return manifest

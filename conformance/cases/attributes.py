@@ -50,23 +50,25 @@ def _carm(name: str, shift: Int64, spread: int) -> Scene:
         w[:] = dyadic(numbers.integers(-100, 100, *w.shape), 7)
         b[:] = dyadic(numbers.integers(-40, 40, len(b)), 1)
     mean = numbers.integers(-spread, spread, width)
-    found = {**constant(SLICES, numbers, mean, numbers.integers(-10, 20, width)), **carm}
-    return sampled(scene(name, 25, SLICES, networks=found, carm_shift=shift.astype(np.uint8)), Sampler(numbers, 30))
+    network_weights = {**constant(SLICES, numbers, mean, numbers.integers(-10, 20, width)), **carm}
+    return sampled(
+        scene(name, 25, SLICES, networks=network_weights, carm_shift=shift.astype(np.uint8)), Sampler(numbers, 30)
+    )
 
 
 def _channels() -> Scene:
     numbers, channel = Numbers("channel-order"), np.arange(SLICES.attribute_width)
-    found = constant(SLICES, numbers, 160 * channel - 1500, channel - 20)
-    return sampled(scene("channel-order", 12, SLICES, networks=found), Sampler(numbers, 0))
+    network_weights = constant(SLICES, numbers, 160 * channel - 1500, channel - 20)
+    return sampled(scene("channel-order", 12, SLICES, networks=network_weights), Sampler(numbers, 0))
 
 
 def _steps() -> Scene:
     numbers = Numbers("steps")
-    found = set_weights(
+    network_weights = set_weights(
         networks(SLICES, numbers),
         ("hyper.-1", slice(-3, None), lambda w: dyadic(numbers.integers(-90, 90, *w.shape), 3), (0, 32, 63)),
     )
-    return sampled(scene("steps", 60, SLICES, networks=found), Sampler(numbers, 0))
+    return sampled(scene("steps", 60, SLICES, networks=network_weights), Sampler(numbers, 0))
 
 
 FOUR = Dimensions(1, (4,), 1, 1, 2, (1,), (1,), (), 1)
@@ -74,9 +76,9 @@ FOUR = Dimensions(1, (4,), 1, 1, 2, (1,), (1,), (), 1)
 
 def _of_steps(name: str, anchors: int, d: Dimensions, scale: int, base_step: Any, steps: Any) -> Scene:
     """Returns a scene that keeps all offsets. scale: index of all channels. steps: step indices."""
-    found = set_weights(constant(d, Numbers(name), 0, scale), ("hyper.-1", slice(-3, None), None, steps))
+    network_weights = set_weights(constant(d, Numbers(name), 0, scale), ("hyper.-1", slice(-3, None), None, steps))
     masks = np.ones((anchors, d.offset_count), bool)
-    return scene(name, anchors, d, base_step=base_step, masks=masks, networks=found)
+    return scene(name, anchors, d, base_step=base_step, masks=masks, networks=network_weights)
 
 
 def _values(name: str, base_step: tuple[float, float, float], steps: tuple[int, int, int] = (3, 41, 63)) -> Scene:
@@ -95,15 +97,18 @@ def _table() -> Scene:
     # 64 anchors, one for each step index. The planes select it, because the positional encoding cannot.
     d = Dimensions(1, (2,), 1, 1, 32, (2,), (1,), (), 1)
     numbers = Numbers("values-table")
-    found = constant(d, numbers, 0, 0)
+    network_weights = constant(d, numbers, 0, 0)
     set_weights(
-        found, ("hyper.0", (0, 1), 1, None), ("hyper.1", slice(-3, None), None, 0), ("hyper.1", np.s_[-3:, 0], 1, None)
+        network_weights,
+        ("hyper.0", (0, 1), 1, None),
+        ("hyper.1", slice(-3, None), None, 0),
+        ("hyper.1", np.s_[-3:, 0], 1, None),
     )
     planes = np.zeros((5, 1, 32, 32), np.int16)
     for quadrant in range(1, 5):
         planes[quadrant, 0] = np.arange(32)[None, :] + (32 if quadrant in (2, 4) else 0)
     frame = frame_of(np.eye(3, dtype=np.int64), low=(0, 0, 0), high=(63, 1, 1))
-    fields: dict[str, Any] = {"planes": planes, "plane_shift": 0, "frame": frame, "networks": found}
+    fields: dict[str, Any] = {"planes": planes, "plane_shift": 0, "frame": frame, "networks": network_weights}
     points, masks = f16(np.stack([np.arange(64), *np.zeros((2, 64), int)], axis=1)), np.ones((64, 1), bool)
     made = scene("values-table", 64, d, positions=points, masks=masks, **fields)
     return sampled(made, Sampler(numbers, 0), planes=False)

@@ -47,7 +47,7 @@ def expected(data: bytes, camera: dict[str, Any], text: dict[str, Any] | None = 
         seen = [text["STATIC_GAUSSIAN"](each, centre) for each in numbers]
         return _document([_row(n, k, each) for (n, k), each in zip(places, seen, strict=True)])
     networks = {name: [(w.tolist(), b.tolist()) for w, b in scene.networks[name]] for name in RENDERING}
-    found = []
+    lines = []
     for n in range(scene.anchor_count):
         rows = (
             getattr(values, name)[n].astype(np.float64).tolist()
@@ -60,8 +60,8 @@ def expected(data: bytes, camera: dict[str, Any], text: dict[str, Any] | None = 
             alone = [kept and i == k for i, kept in enumerate(mask)]
             unit = scene.render.distance_unit
             seen = text["GAUSSIANS"](networks, position, feature, scaling, offsets, alone, centre, unit)
-            found += [_row(n, k, gaussian) for gaussian in seen]
-    return _document(found)
+            lines += [_row(n, k, gaussian) for gaussian in seen]
+    return _document(lines)
 
 
 def _row(anchor: int, offset: int, gaussian: tuple[Any, ...]) -> dict[str, Any]:

@@ -164,11 +164,11 @@ kept_count = element("chunk.kept", "index.entry[{}].kept_count", any_chunk, _kep
 def _padded(part: str, make: Callable[[int], Scene]) -> Callable[[], Target]:
     """Returns a function that returns the first of several files whose first chunk has padding after a part."""
 
-    def found() -> Target:
+    def first() -> Target:
         files = (Target(codec.emit(make(n))) for n in range(20))
         return next(t for t in files if t.has(f"{part}[chunk 0], padding"))
 
-    return found
+    return first
 
 
 # Files of one chunk with padding after its packed positions, and after its masks.

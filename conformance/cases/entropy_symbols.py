@@ -196,40 +196,42 @@ class Liar(Encoder):
 
     def values(self, group: ValueGroup) -> Int64:
         """Codes a group of values."""
-        found = self.sampler.values(group)
-        coded, first = found.copy(), self.waiting == 0
+        drawn = self.sampler.values(group)
+        coded, first = drawn.copy(), self.waiting == 0
         if first:
             model, centre, raw = select(group.mean, group.scale)
             radius = group.models.radius
             assert not raw.any()
             if self.beyond:
-                found[0], coded[0] = 0, 1 << 24
+                drawn[0], coded[0] = 0, 1 << 24
             if self.endless:
                 at = int(self.beyond)
-                found[at] = coded[at] = centre[at] + self.endless * (radius[model[at]] + 1)
+                drawn[at] = coded[at] = centre[at] + self.endless * (radius[model[at]] + 1)
                 if self.escaped:
                     # Its bits read from any later one give another symbol.
-                    found[at + 1] = coded[at + 1] = centre[at + 1] - radius[model[at + 1]] - 300
+                    drawn[at + 1] = coded[at + 1] = centre[at + 1] - radius[model[at + 1]] - 300
         super().values(replace(group, limit=1 << 40, given=coded))
         if first and self.endless:
             # The escape's fields: a sign, and zeros instead of the prefix.
             fields = np.array([self.endless < 0, 0], np.int64), np.array([1, ESCAPE_PREFIX_MAX + 1])
             self.raw[0][-1 - self.escaped] = fields
         self.waiting -= 1
-        return found
+        return drawn
 
 
 def _lied(beyond: bool, endless: int, escaped: bool = False) -> Whole:
     """Returns a file of one anchor whose second slice depends on each bit of the first, with symbols of a Liar."""
     d = Dimensions(1, (2, 8), 1, 1, 2, (2,), (1,), (3,), 1)
     numbers = Numbers(f"planted-liar-{beyond:d}{endless:d}")
-    found = networks(d, numbers)
-    found["hyper"] = [(w * 0, b * 0) for w, b in found["hyper"]]
-    first, last = found["carm.1"]
+    network_weights = networks(d, numbers)
+    network_weights["hyper"] = [(w * 0, b * 0) for w, b in network_weights["hyper"]]
+    first, last = network_weights["carm.1"]
     # Units for either sign of both symbols' sum; each unit changes mean and scale.
     first[0][:], first[1][:] = np.array([[1, 1], [-1, -1], [0, 0]]), 0
     last[0][:], last[1][:] = dyadic(numbers.integers(-9, 9, *last[0].shape) * 2 + 1, 0), 0
-    made = scene("planted-liar", 1, d, networks=found, carm_shift=np.zeros(2, np.uint8), masks=np.ones((1, 1), bool))
+    made = scene(
+        "planted-liar", 1, d, networks=network_weights, carm_shift=np.zeros(2, np.uint8), masks=np.ones((1, 1), bool)
+    )
     made = replace(made, lanes=Lanes(0, 0, 0))
     coding, liar = codec.Coding(made), Liar(Sampler(numbers, 0), beyond, endless, escaped)
     code_attributes(liar, coding.model, coding.contexts(), made.masks, chunk_ranges(1, made.chunk_size))
@@ -277,8 +279,8 @@ def spread(
 
     coder: draws the symbols; a number is that of a Sampler's escapes. symbols: the name of its Numbers.
     """
-    found, masks = constant(WIDE, Numbers(name), mean, scale), np.ones((anchors, WIDE.offset_count), bool)
-    made = scene(name, anchors, WIDE, networks=found, masks=masks)
+    network_weights, masks = constant(WIDE, Numbers(name), mean, scale), np.ones((anchors, WIDE.offset_count), bool)
+    made = scene(name, anchors, WIDE, networks=network_weights, masks=masks)
     coder = Sampler(Numbers(symbols or f"{name}/symbols"), coder) if isinstance(coder, int) else coder
     return sampled(replace(made, lanes=lanes or made.lanes), coder, planes=False)
 
@@ -286,26 +288,28 @@ def spread(
 def _gauss() -> Scene:
     numbers = Numbers("models-gauss")
     d = Dimensions(10, (16, 16), 1, 4, 6, (20,), (4,), (1,), 1)
-    found = observing(d, numbers)
+    network_weights = observing(d, numbers)
     total = d.attribute_width
-    w, b = found["hyper"][-1]
+    w, b = network_weights["hyper"][-1]
     # Each channel has one or two rows in turn. The columns follow from the context.
     b[total : 2 * total] = SCALE_MIN + np.arange(total) % 64
     w[total : total + 8, 0] = 2.0**-5
-    return sampled(scene("models-gauss", 330, d, networks=found, masks=np.ones((330, 10), bool)), Sweep(numbers))
+    return sampled(
+        scene("models-gauss", 330, d, networks=network_weights, masks=np.ones((330, 10), bool)), Sweep(numbers)
+    )
 
 
 def _laplace() -> Scene:
     numbers = Numbers("models-laplace")
     d = Dimensions(1, (1,), 8, 1, 24, (1,), (2,), (), 1)
-    found = networks(d, numbers)
+    network_weights = networks(d, numbers)
     # The left neighbour and one above determine the scale index, the others the mean. Both are bounded.
     first = np.array([[16, 0, 0, 112], [0, 80, 16, 0]], np.float32)
-    found["sarm"] = [
+    network_weights["sarm"] = [
         (first, np.array([512, 512], np.float32)),
         (np.array([[0, 1 / 16], [1 / 16, 0]], np.float32), np.array([-32, SCALE_MIN], np.float32)),
     ]
-    return sampled(scene("models-laplace", 1, d, networks=found, lanes=Lanes(2, 0, 0)), Sweep(numbers))
+    return sampled(scene("models-laplace", 1, d, networks=network_weights, lanes=Lanes(2, 0, 0)), Sweep(numbers))
 
 
 def _of_numbers(name: str, largest: int, scale: Int64, anchors: int, escapes: int, lanes: Lanes | None = None) -> Scene:
@@ -321,16 +325,16 @@ def _largest_sums() -> Scene:
     mean, scale = np.zeros(d.attribute_width, np.int64), np.zeros(d.attribute_width, np.int64)
     mean[2:8] = most, -most, most, 5, -most, 100
     scale[2:8] = 0, 10, most, most, -most, -most
-    found = constant(d, numbers, mean, scale)
-    found["carm.1"][-1][1][:] = [most, -most, -most, 7, most, -3, 0, -10, -most, most, most, -most]
-    return sampled(scene("means-sums", 9, d, networks=found), Sampler(numbers, 8))
+    network_weights = constant(d, numbers, mean, scale)
+    network_weights["carm.1"][-1][1][:] = [most, -most, -most, 7, most, -3, 0, -10, -most, most, most, -most]
+    return sampled(scene("means-sums", 9, d, networks=network_weights), Sampler(numbers, 8))
 
 
 def _about_powers(limit: int) -> Int64:
     """Returns values of either sign around each power of two, up to the limit."""
-    found = {v + o for z in range(limit.bit_length()) for v in (1 << z, (2 << z) - 1) for o in (0, 1)}
-    found |= {limit, limit - 1}
-    return np.array(sorted({s * v for v in found if v <= limit for s in (1, -1)}), dtype=np.int64)
+    bounds = {v + o for z in range(limit.bit_length()) for v in (1 << z, (2 << z) - 1) for o in (0, 1)}
+    bounds |= {limit, limit - 1}
+    return np.array(sorted({s * v for v in bounds if v <= limit for s in (1, -1)}), dtype=np.int64)
 
 
 def _escaped_attributes() -> Scene:
@@ -350,8 +354,8 @@ def _padding() -> Scene:
     scale = np.array([31] * 5 + [0] * (SMALLEST.attribute_width - 5))
     values = np.zeros((16, 6), np.int64)
     values[1::2, 5] = 1 << np.arange(1, 16, 2)
-    found = constant(SMALLEST, Numbers("padding"), 0, scale)
-    made = scene("padding", 16, SMALLEST, networks=found, chunk_size=1)
+    network_weights = constant(SMALLEST, Numbers("padding"), 0, scale)
+    made = scene("padding", 16, SMALLEST, networks=network_weights, chunk_size=1)
     return with_symbols(made, features=np.zeros((16, 1)), scalings=values)
 
 

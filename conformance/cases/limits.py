@@ -234,8 +234,8 @@ def _large_planes() -> Scene:
     flat, numbers = np.zeros_like(made.planes), Numbers("main-planes/symbols")
     for at in numbers.integers(0, flat.size - 1, 60).tolist():
         flat.reshape(-1)[at] = numbers.integer(-2, 2)
-    found = packed_weights(replace(with_weights(made, *QUIET_SARM), planes=flat))
-    return sampled(found, Sampler(numbers), planes=False)
+    packed = packed_weights(replace(with_weights(made, *QUIET_SARM), planes=flat))
+    return sampled(packed, Sampler(numbers), planes=False)
 
 
 # fmt: off

@@ -166,8 +166,8 @@ def large_bias(g: GridLayer, row: int) -> GridLayer:
 def _with_hyper(name: str, *values: Values, anchors: int = 24) -> Scene:
     """Returns a scene with a changed F_h. The means depend on all of it."""
     numbers = Numbers(name)
-    found = set_weights(networks(ROWS, numbers), *values)
-    return sampled(scene(name, anchors, ROWS, networks=found), Sampler(numbers, 0))
+    network_weights = set_weights(networks(ROWS, numbers), *values)
+    return sampled(scene(name, anchors, ROWS, networks=network_weights), Sampler(numbers, 0))
 
 
 def _each_row(weight: Callable[[int], Any], bias: Callable[[int], float]) -> tuple[Values, ...]:

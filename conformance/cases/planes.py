@@ -59,12 +59,12 @@ padding_byte = padding("planes.padding", r"planes\..*, padding")
 def _neighbours(name: str, size: int, channels: int) -> Scene:
     d = replace(TINY_DIMENSIONS, plane_size=size, plane_channels=channels, sarm_width=(8,))
     numbers = Numbers(name)
-    found = networks(d, numbers)
+    network_weights = networks(d, numbers)
     # Each neighbour has a different weight, with both signs.
     first = np.concatenate([np.eye(4), -np.eye(4)]).astype(np.float32)
     last = np.array([[5, 7, -3, 4, -5, -7, 3, -4], [0.5, 0.25, -0.5, 0.75, 0.25, 0.5, 0.5, 0.25]], np.float32)
-    found["sarm"] = [(first, np.zeros(8, np.float32)), (last, np.array([3, -9], np.float32))]
-    return sampled(scene(name, 2, d, networks=found, lanes=Lanes(2, 0, 0)), Sampler(numbers, 0))
+    network_weights["sarm"] = [(first, np.zeros(8, np.float32)), (last, np.array([3, -9], np.float32))]
+    return sampled(scene(name, 2, d, networks=network_weights, lanes=Lanes(2, 0, 0)), Sampler(numbers, 0))
 
 
 # fmt: off

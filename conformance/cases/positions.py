@@ -59,9 +59,9 @@ def codes_of(t: Target) -> Int64:
     """Returns the Morton codes of the cells of a file with one packed chunk, int64 [anchors]."""
     made = codec.parse(t.data).scene
     assert made.position_model is not None
-    found = chunk_codes(made.positions, made.position_model.cell_shift)
-    assert found is not None
-    return found
+    codes = chunk_codes(made.positions, made.position_model.cell_shift)
+    assert codes is not None
+    return codes
 
 
 def with_cells(t: Target, code: Int64) -> bytes:
@@ -143,15 +143,15 @@ def _chosen() -> list[Any]:
     """Returns cells of each cell_shift, at both ends and by the index, and a model, from one sequence of numbers."""
     numbers = Numbers("cells")
     lattice(numbers, 60)
-    found: list[Any] = []
+    choices: list[Any] = []
     for shift in (0, 1, 23, 39):
         # At most eleven bits of each cell, at both ends and around the middle.
-        found.append(numbers.chosen([0, 1, -1, 5, 2047, -2047, 1000, -33], 20, 3))
+        choices.append(numbers.chosen([0, 1, -1, 5, 2047, -2047, 1000, -33], 20, 3))
         if shift == 39:
-            found[-1] = numbers.chosen([0, 1, -1], 12, 3)
-    found.append(numbers.chosen([-32768, 32752, -32752, 16384, -16384, 32736, 16, -16, 2047, 0], 30, 3))
-    found.append(numbers.chosen([0x7BFF, -0x7BFF, 0, 1, -1, 1023, 1024, -1024, 0x3C00, -0x3C00], 40, 3))
-    return [*(MIDDLE + cells for cells in found), any_model(numbers)]
+            choices[-1] = numbers.chosen([0, 1, -1], 12, 3)
+    choices.append(numbers.chosen([-32768, 32752, -32752, 16384, -16384, 32736, 16, -16, 2047, 0], 30, 3))
+    choices.append(numbers.chosen([0x7BFF, -0x7BFF, 0, 1, -1, 1023, 1024, -1024, 0x3C00, -0x3C00], 40, 3))
+    return [*(MIDDLE + cells for cells in choices), any_model(numbers)]
 
 
 def _mixed() -> Scene:

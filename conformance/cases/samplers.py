@@ -33,12 +33,12 @@ class Sampler:
 
     def distances(self, model: Int64, radius: Int64) -> Int64:
         """Returns the distances of values from the centre, in units of 2^raw. Beyond the radius they are escapes."""
-        found = self.numbers.integers(0, 1 << 40, len(model)) % (2 * radius + 1) - radius
+        away = self.numbers.integers(0, 1 << 40, len(model)) % (2 * radius + 1) - radius
         if self.escapes:
             far = radius + (1 << self.numbers.integers(0, 12, len(model)))
             sign = self.numbers.chosen([-1, 1], len(model))
-            found = np.where(self.numbers.integers(1, self.escapes, len(model)) == 1, far * sign, found)
-        return found
+            away = np.where(self.numbers.integers(1, self.escapes, len(model)) == 1, far * sign, away)
+        return away
 
     def values(self, group: ValueGroup) -> Int64:
         """Returns a group of values within their limit."""
@@ -61,12 +61,12 @@ class Sweep(Sampler):
 
     def distances(self, model: Int64, radius: Int64) -> Int64:
         """As Sampler's."""
-        found = []
+        away = []
         for m, r in zip(model.tolist(), radius.tolist(), strict=True):
             turn, self.next[m] = self.next[m] % (2 * r + 2), self.next[m] + 1
             order = (r + 1 + m % 3) * (-1 if m % 2 else 1)
-            found.append(order if turn == 0 else -r if turn == 1 else r if turn == 2 else turn - 2 - r)
-        return np.array(found, dtype=np.int64)
+            away.append(order if turn == 0 else -r if turn == 1 else r if turn == 2 else turn - 2 - r)
+        return np.array(away, dtype=np.int64)
 
 
 class Rare(Sampler):

@@ -151,10 +151,10 @@ def positions(numbers: Numbers, anchors: int) -> NDArray[np.float16]:
 
 def f16(integers: Int64) -> NDArray[np.float16]:
     """Returns the positions whose P (SPEC 7.4) are these integers, which must be exact in f16."""
-    found = np.ldexp(integers.astype(np.float64), -24).astype(np.float16)
-    assert (np.ldexp(found.astype(np.float64), 24) == integers).all()
-    found[found == 0] = 0
-    return found
+    halves = np.ldexp(integers.astype(np.float64), -24).astype(np.float16)
+    assert (np.ldexp(halves.astype(np.float64), 24) == integers).all()
+    halves[halves == 0] = 0
+    return halves
 
 
 def lattice(numbers: Numbers, anchors: int, spread: int = 12) -> NDArray[np.float16]:
@@ -164,9 +164,9 @@ def lattice(numbers: Numbers, anchors: int, spread: int = 12) -> NDArray[np.floa
     while len(codes) < anchors:
         codes = np.unique(np.append(codes, numbers.integers(0, side**3 - 1, anchors)))
     points = np.stack([codes // side**2, codes // side % side, codes % side], axis=1) - spread
-    found = (points * 0.25).astype(np.float16)
-    found = found[morton_order(found)]
-    return found[np.linspace(0, len(found) - 1, anchors).astype(int)] if len(found) > anchors else found
+    halves = (points * 0.25).astype(np.float16)
+    halves = halves[morton_order(halves)]
+    return halves[np.linspace(0, len(halves) - 1, anchors).astype(int)] if len(halves) > anchors else halves
 
 
 # --- positions as cells (SPEC 7.12) ---------------------------------------------------------------------------------
@@ -196,9 +196,9 @@ def sharp_model() -> PositionModel:
 def of_cells(cells: Int64, cell_shift: int) -> NDArray[np.float16]:
     """Returns the positions of cells in the order of the tree, without duplicates."""
     ordered = cells[np.unique(morton(cells), return_index=True)[1]]
-    found, fits = cell_positions(ordered, cell_shift)
+    placed, fits = cell_positions(ordered, cell_shift)
     assert fits.all()
-    return found
+    return placed
 
 
 def placed(

@@ -65,8 +65,8 @@ def _rejected(recipe: Recipe, made: Refused) -> dict[str, Any]:
         codec.parse(made.data)
     except BitstreamError as error:
         if (error.kind.name, error.offset) != (made.name, made.offset):
-            said = f"the recipe says {made.name} at {made.offset}"
-            raise GeneratorError(f"{recipe.id}: {said}, refcodec {error.kind.name} at {error.offset}") from None
+            stated = f"the recipe says {made.name} at {made.offset}"
+            raise GeneratorError(f"{recipe.id}: {stated}, refcodec {error.kind.name} at {error.offset}") from None
     else:
         raise GeneratorError(f"{recipe.id}: {made.name} expected, refcodec accepts the file")
     kind = made.kind
@@ -82,10 +82,10 @@ def vectors(recipes: Iterable[Recipe]) -> Iterator[tuple[dict[str, Any], dict[st
         files: dict[str, bytes] = {}
         if isinstance(made, Seen):
             path, data = path_of(made.id), made.data
-            listed, found = path.replace(".c3gs", f"-{recipe.name}.json"), expected(data, made.camera)
-            files[listed] = found
+            listed, rows = path.replace(".c3gs", f"-{recipe.name}.json"), expected(data, made.camera)
+            files[listed] = rows
             expectation: dict[str, Any] = {"result": "gaussians", "camera": made.camera, "path": listed}
-            expectation |= {"sha256": _sha256(found), "tolerance": TOLERANCE}
+            expectation |= {"sha256": _sha256(rows), "tolerance": TOLERANCE}
             proved = ["G14.6-1" if "static" in recipe.features else "G14.3-1"]
         elif isinstance(made, Refused):
             files[path] = data = made.data
@@ -148,12 +148,12 @@ def generate(folder: Path, recipes: Iterable[Recipe]) -> tuple[int, int]:
     Raises UsageError, before the work, if the folder contains anything else, and OSError.
     """
     _check(folder)
-    found, written = [], {}
+    rows, written = [], {}
     for vector, files in vectors(recipes):
-        found.append(vector)
+        rows.append(vector)
         written.update(files)
     document = {"suite": NAME, "suite_version": SUITE_VERSION, "format_version": header.MAJOR}
-    document |= {"flags": FLAGS, "features": FEATURES, "vectors": found}
+    document |= {"flags": FLAGS, "features": FEATURES, "vectors": rows}
     size = sum(map(len, written.values()))
     written[MANIFEST] = _text(document).encode()
     written[SCHEMA] = (VECTORS / SCHEMA).read_bytes()
@@ -171,4 +171,4 @@ def generate(folder: Path, recipes: Iterable[Recipe]) -> tuple[int, int]:
         return [folder / name for name in (*CLASSES, MANIFEST, SCHEMA)]
 
     exchange(folder, write, replaced, MANIFEST)
-    return len(found), size
+    return len(rows), size

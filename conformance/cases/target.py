@@ -112,8 +112,8 @@ class Target:
     def span(self, path: str) -> tuple[int, int]:
         """Returns the range of a substream or of a chunk's raw part, without its padding."""
         names = (path, *(f"{path}.{part}" for part in ("symbol_crc", "word_count", "state", "word", "raw")))
-        found = [self.elements[name] for name in names if name in self.elements]
-        return found[0].start, found[-1].end
+        spans = [self.elements[name] for name in names if name in self.elements]
+        return spans[0].start, spans[-1].end
 
     def part(self, name: str, chunk: int) -> tuple[int, int]:
         """Returns the range of a part of a chunk, without its padding. name: as in PARTS."""
@@ -144,13 +144,13 @@ class Target:
     @cached_property
     def substreams(self) -> dict[str, Substream]:
         """All substreams by path. Raw weights and raw chunks are not substreams."""
-        found = {}
+        places = {}
         for path in (name.removesuffix(".symbol_crc") for name in self.elements if name.endswith(".symbol_crc")):
             (start, end), state = self.span(path), self.element(f"{path}.state")
             kind = next(kind for kind, section in self.sections.items() if section.start <= start < section.end)
             words = self.value(f"{path}.word_count")
-            found[path] = Substream(path, kind, start, end, (state.end - state.start) // 4, words)
-        return found
+            places[path] = Substream(path, kind, start, end, (state.end - state.start) // 4, words)
+        return places
 
     def pack(self, values: dict[str, Any]) -> dict[int, bytes]:
         """Returns elements with other values, as bytes by offset. A value is a number or bytes."""

@@ -25,17 +25,17 @@ def dyadic(integers: Int64, bits: int) -> NDArray[np.float32]:
 
 def networks(d: Dimensions, numbers: Numbers) -> Networks:
     """Returns networks with outputs in useful ranges."""
-    found: Networks = {}
+    network_weights: Networks = {}
     for name, shapes in d.network_shapes().items():
-        found[name] = []
+        network_weights[name] = []
         for index, (out, fan_in) in enumerate(shapes):
             last = index == len(shapes) - 1
             weight = dyadic(numbers.integers(-200, 200, out, fan_in), 12 if last else 8)
             bias = dyadic(numbers.integers(-640, 640, out), 5)
             if last and name == "hyper":
                 bias[-3:] += 32
-            found[name].append((weight, bias))
-    return found
+            network_weights[name].append((weight, bias))
+    return network_weights
 
 
 # Values of weights: a layer ("hyper.0", "hyper.-1" for the last one, "*.0" for the first of each network) or all layers
@@ -45,16 +45,16 @@ Values = tuple[str, Any, Any, Any]
 ALL = slice(None)
 
 
-def set_weights(found: Networks, *values: Values) -> Networks:
+def set_weights(network_weights: Networks, *values: Values) -> Networks:
     """Changes weights and biases, and returns the networks."""
     for path, rows, weight, bias in values:
-        network, _, number = (path, "", "") if path in (*found, "*") else path.rpartition(".")
-        for layers in found.values() if network == "*" else [found[network]]:
+        network, _, number = (path, "", "") if path in (*network_weights, "*") else path.rpartition(".")
+        for layers in network_weights.values() if network == "*" else [network_weights[network]]:
             for w, b in [layers[int(number)]] if number else layers:
                 for array, value in ((w, weight), (b, bias)):
                     if value is not None:
                         array[rows] = value(array[rows]) if callable(value) else value
-    return found
+    return network_weights
 
 
 def with_weights(made: Scene, *values: Values) -> Scene:
@@ -75,10 +75,10 @@ def constant(d: Dimensions, numbers: Numbers, mean: Int64 | int = 0, scale: Int6
     mean: int64 [channels], in sixteenths of a symbol. scale: int64 [channels], scale indices. A number is that of all
     channels. By default a symbol of 0 takes almost no bits.
     """
-    found, width = networks(d, numbers), d.attribute_width
-    still = [(name, ALL, 0, 0) for name in found if name == "hyper" or name.startswith("carm")]
+    network_weights, width = networks(d, numbers), d.attribute_width
+    still = [(name, ALL, 0, 0) for name in network_weights if name == "hyper" or name.startswith("carm")]
     outputs = (*np.broadcast_to(mean, width), *np.broadcast_to(scale, width), 32, 32, 32)
-    return set_weights(found, *still, ("hyper.-1", ALL, None, outputs))
+    return set_weights(network_weights, *still, ("hyper.-1", ALL, None, outputs))
 
 
 def observing(d: Dimensions, numbers: Numbers, scale: int = -8) -> Networks:
@@ -87,7 +87,7 @@ def observing(d: Dimensions, numbers: Numbers, scale: int = -8) -> Networks:
     The mean of channel c is the context's number c modulo their count, in sixteenths. The hidden layer of F_h has two
     units for each number, one for either sign. scale: the scale index of all channels.
     """
-    found = networks(d, numbers)
+    network_weights = networks(d, numbers)
     inputs, total = 2 * d.plane_channels + 2 * d.frequency_count, d.attribute_width
     assert d.hyper_width == (2 * inputs,)
     first: Int64 = np.concatenate([np.eye(inputs, dtype=np.int64), -np.eye(inputs, dtype=np.int64)])
@@ -96,17 +96,20 @@ def observing(d: Dimensions, numbers: Numbers, scale: int = -8) -> Networks:
     for c in range(total):
         last[c, [c % inputs, inputs + c % inputs]] = 1, -1
     bias[total : 2 * total], bias[2 * total :] = scale, 32
-    found["hyper"] = [(dyadic(first, 0), dyadic(np.zeros(2 * inputs, np.int64), 0)), (dyadic(last, 0), dyadic(bias, 0))]
-    return set_weights(found, *((name, ALL, 0, 0) for name in found if name.startswith("carm")))
+    network_weights["hyper"] = [
+        (dyadic(first, 0), dyadic(np.zeros(2 * inputs, np.int64), 0)),
+        (dyadic(last, 0), dyadic(bias, 0)),
+    ]
+    return set_weights(network_weights, *((name, ALL, 0, 0) for name in network_weights if name.startswith("carm")))
 
 
 # --- weights in mode 1 ------------------------------------------------------------------------------------------------
 
 
-def scales(found: Networks) -> NDArray[np.uint8]:
+def scales(network_weights: Networks) -> NDArray[np.uint8]:
     """Returns scale indices of mode 1 by the bit lengths of the weights, uint8 [layers, 3], 0 for a raw layer."""
     rows = []
-    for grid in (to_grid(layer) for layers in found.values() for layer in layers):
+    for grid in (to_grid(layer) for layers in network_weights.values() for layer in layers):
         parts = [] if grid is None else [grid.difference, grid.weight, grid.bias]
         rows.append(
             [min(40 + 8 * (int(np.abs(p).max()).bit_length() - 1), 255) if p.any() else 0 for p in parts] or [0, 0, 0]

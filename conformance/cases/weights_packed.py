@@ -77,8 +77,8 @@ def with_integers(
     made = codec.parse(t.data).scene
     assert made.weight_scales is not None
     shapes, wrong = layers_of(made.dimensions), t.layers.index(layer)
-    found = [weights.to_grid(values) for network in made.networks.values() for values in network]
-    coded = {i: grid for i, grid in enumerate(found) if grid is not None}
+    grids = [weights.to_grid(values) for network in made.networks.values() for values in network]
+    coded = {i: grid for i, grid in enumerate(grids) if grid is not None}
     coded[wrong] = change(coded[wrong])
     encoder = coder(1, 1 << made.lanes.attribute)
     scale = made.weight_scales[list(coded)]
@@ -115,9 +115,9 @@ _OUTSIDE = (1000, -1000, (1 << 24) - 1, 1 - (1 << 24))
 
 def changed(values: Int64, at: int, value: int) -> Int64:
     """Returns the integers with another one in a place."""
-    found = values.copy()
-    found[at] = value
-    return found
+    copied = values.copy()
+    copied[at] = value
+    return copied
 
 
 @grid_fault("weights.exponent", [1, None])

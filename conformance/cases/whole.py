@@ -39,9 +39,9 @@ def _widths(numbers: Numbers, count: tuple[int, int], most: int) -> tuple[int, .
 
 def _weights(numbers: Numbers, d: Dimensions) -> Networks:
     """Draws networks: ordinary, zero, subnormal, at the bounds, and with different exponents of rows."""
-    found: Networks = {}
+    network_weights: Networks = {}
     for name, shapes in d.network_shapes().items():
-        found[name] = []
+        network_weights[name] = []
         for out, fan_in in shapes:
             kind = numbers.integer(0, 5)
             weight = dyadic(numbers.integers(-255, 255, out, fan_in), 9)
@@ -60,8 +60,8 @@ def _weights(numbers: Numbers, d: Dimensions) -> Networks:
                 derive_layer(weight, bias)
             except BoundError:
                 weight, bias = np.ldexp(weight, -12), np.ldexp(bias, -12)
-            found[name].append((weight.astype(np.float32), bias.astype(np.float32)))
-    return found
+            network_weights[name].append((weight.astype(np.float32), bias.astype(np.float32)))
+    return network_weights
 
 
 def _symbols(numbers: Numbers, limit: int, *shape: int) -> Int64:
@@ -89,31 +89,31 @@ def _render(numbers: Numbers) -> RenderInfo:
 
 def _ancillary(numbers: Numbers) -> tuple[Ancillary, ...]:
     """Draws ancillary sections of any types at any places."""
-    found = []
+    sections = []
     for _ in range(numbers.integer(0, 4)):
         letters = numbers.integers(0, 25, 4) + numbers.chosen([0x41, 0x61], 4)
         letters[0] |= 0x20
         kind, mode = bytes(letters.tolist()), numbers.integer(0, 255)
-        found.append(Ancillary(kind, mode, numbers.bytes(numbers.integer(0, 9)), numbers.integer(0, BEHIND)))
-    return tuple(sorted(found, key=lambda section: section.after))
+        sections.append(Ancillary(kind, mode, numbers.bytes(numbers.integer(0, 9)), numbers.integer(0, BEHIND)))
+    return tuple(sorted(sections, key=lambda section: section.after))
 
 
 def _chunks(numbers: Numbers, anchors: int, chunk_size: int) -> tuple[int, ...]:
     """Draws the number of anchors of each chunk."""
-    found: list[int] = []
-    while sum(found) < anchors:
-        found.append(numbers.integer(1, min(chunk_size, anchors - sum(found))))
-    return tuple(found)
+    sizes: list[int] = []
+    while sum(sizes) < anchors:
+        sizes.append(numbers.integer(1, min(chunk_size, anchors - sum(sizes))))
+    return tuple(sizes)
 
 
 def _places(numbers: Numbers, anchors: int) -> NDArray[np.float16]:
     """Draws positions without an order, or some outside of a lattice."""
     if numbers.integer(0, 1):
         return positions(numbers, anchors)
-    found = lattice(numbers, anchors)
+    places = lattice(numbers, anchors)
     if anchors and numbers.integer(0, 1):
-        found[numbers.integer(0, anchors - 1)] = found[numbers.integer(0, anchors - 1)]
-    return found
+        places[numbers.integer(0, anchors - 1)] = places[numbers.integer(0, anchors - 1)]
+    return places
 
 
 def _position_forms(numbers: Numbers, made: Scene) -> tuple[int, ...]:
@@ -148,11 +148,13 @@ def unusual(seed: int) -> Scene:
     base_step = tuple(
         float(np.ldexp(np.float32(numbers.integer(1 << 23, (1 << 24) - 1)), numbers.integer(-83, 36))) for _ in range(3)
     )
-    found = _weights(numbers, d)
+    network_weights = _weights(numbers, d)
     weight_scales = weight_forms = None
     if numbers.integer(0, 1):
         # A layer that can be packed is sometimes raw.
-        weight_forms = np.where(numbers.integers(0, 4, len(layers_of(d))) == 0, 0, packable(found)).astype(np.uint8)
+        weight_forms = np.where(numbers.integers(0, 4, len(layers_of(d))) == 0, 0, packable(network_weights)).astype(
+            np.uint8
+        )
         drawn_scales = numbers.integers(0, 200, len(weight_forms), 3)
         weight_scales = np.where(weight_forms[:, None] == 0, 0, drawn_scales).astype(np.uint8)
     model = None
@@ -184,7 +186,7 @@ def unusual(seed: int) -> Scene:
         else None,
         plane_shift=numbers.integer(0, 10) if channels else 0,
         carm_shift=numbers.integers(0, 16, d.carm_inputs).astype(np.uint8) >> numbers.integer(0, 3),
-        networks=found,
+        networks=network_weights,
         planes=_symbols(numbers, PLANE_SYMBOL_MAX, 5, d.plane_channels, d.plane_size, d.plane_size).astype(np.int16),
         mask_model=numbers.integers(1, (1 << 14) - 1, mask_contexts(d.offset_count)).astype(np.uint16),
         positions=where,

@@ -125,18 +125,18 @@ def command_verdict(command: Sequence[str], data: bytes) -> Verdict:
     with closing(Folder(data)) as folder, _unlimited():
         words = process.fill(command, {"input": folder.input, "output": folder.output})
         bounds = process.Bounds(FILE_SECONDS, PROCESS_BYTES, folder, threading.Event())
-        found = grading.read(process.Watcher().run(words, bounds), folder.output)
-    if found.result == "accepted":
-        return str(found.digest), -1
-    if found.result == "crashed":
-        raise AnswerError(f"a crash: {found.text}")
-    assert found.code is not None
-    kind = grading.BY_CODE[found.code]
-    if found.status != grading.exit_status(kind.klass):
-        raise AnswerError(f"exit status {found.status} with {kind.name}, which is {kind.klass}")
-    if found.offset is None:
+        answer = grading.read(process.Watcher().run(words, bounds), folder.output)
+    if answer.result == "accepted":
+        return str(answer.digest), -1
+    if answer.result == "crashed":
+        raise AnswerError(f"a crash: {answer.text}")
+    assert answer.code is not None
+    kind = grading.BY_CODE[answer.code]
+    if answer.status != grading.exit_status(kind.klass):
+        raise AnswerError(f"exit status {answer.status} with {kind.name}, which is {kind.klass}")
+    if answer.offset is None:
         raise AnswerError(f"{kind.name} without an offset")
-    return kind.name, found.offset
+    return kind.name, answer.offset
 
 
 @contextmanager
@@ -248,13 +248,13 @@ def batch(number: int) -> list[tuple[bytes, Verdict | None]]:
 
 def run_batch(number: int, command: Sequence[str] = ()) -> Findings:
     """Compares the decoders on the files of a batch. command: of another decoder."""
-    found = Findings()
+    findings = Findings()
     for data, expected in batch(number):
         verdict, wrong = compare(data, expected, command)
-        found.seen[verdict[0] if verdict[1] >= 0 else "accepted"] += 1
+        findings.seen[verdict[0] if verdict[1] >= 0 else "accepted"] += 1
         if wrong:
-            found.wrong.append((wrong, data))
-    return found
+            findings.wrong.append((wrong, data))
+    return findings
 
 
 def _start_worker() -> None:
@@ -280,11 +280,11 @@ def run(count: int, first: int, jobs: int, keep: Path, command: Sequence[str]) -
     bar = tqdm(total=count, unit="file", file=sys.stderr)
     with multiprocessing.get_context("spawn").Pool(jobs, _start_worker) as pool, bar:
         try:
-            for number, found in zip(batches, pool.imap(partial(run_batch, command=command), batches), strict=True):
+            for number, findings in zip(batches, pool.imap(partial(run_batch, command=command), batches), strict=True):
                 first = number + 1
-                seen += found.seen
-                bar.update(min(sum(found.seen.values()), bar.total - bar.n))
-                for text, data in found.wrong:
+                seen += findings.seen
+                bar.update(min(sum(findings.seen.values()), bar.total - bar.n))
+                for text, data in findings.wrong:
                     wrong += 1
                     # The name depends on the content, so that files of other runs are not replaced.
                     path = keep / f"{number}-{hashlib.sha256(data).hexdigest()[:12]}.c3gs"

@@ -105,10 +105,10 @@ def render_infos(d: Dimensions, bounded: bool) -> st.SearchStrategy[RenderInfo]:
     )
 
 
-def _bounded(found: dict) -> bool:
+def _bounded(network: dict) -> bool:
     """Whether the rendering networks have exponents (SPEC 7.2)."""
     try:
-        derive_rendering(found)
+        derive_rendering(network)
     except BoundError:
         return False
     return True
@@ -206,10 +206,10 @@ def chunkings(draw: st.DrawFn, anchors: int, chunk_size: int) -> tuple[int, ...]
     """Draws None for the fewest chunks, or a number of anchors for each chunk."""
     if draw(st.booleans()):
         return None
-    found: list[int] = []
-    while sum(found) < anchors:
-        found.append(draw(st.integers(1, min(chunk_size, anchors - sum(found)))))
-    return tuple(found)
+    sizes: list[int] = []
+    while sum(sizes) < anchors:
+        sizes.append(draw(st.integers(1, min(chunk_size, anchors - sum(sizes)))))
+    return tuple(sizes)
 
 
 _FIELDS = {"u16": st.integers(0, 3), "u32": st.integers(0, 3), "f32": st.floats(width=32)}
@@ -253,13 +253,13 @@ def ancillary(draw: st.DrawFn) -> tuple[Ancillary, ...]:
 @st.composite
 def some_positions(draw: st.DrawFn, count: int) -> np.ndarray:
     """Draws positions on a lattice near 0 or anywhere, in any order or in that of their cells."""
-    found = draw(positions(count))
+    drawn = draw(positions(count))
     if draw(st.booleans()):
         spread = draw(st.sampled_from([3, 40, 2048]))
         lattice = draw(hnp.arrays(np.int64, (count, 3), elements=st.integers(-spread, spread)))
-        found = (lattice * 2.0 ** draw(st.integers(-24, 4))).astype(np.float16)
-        found[found == 0] = 0
-    return found[morton_order(found)] if draw(st.booleans()) else found
+        drawn = (lattice * 2.0 ** draw(st.integers(-24, 4))).astype(np.float16)
+        drawn[drawn == 0] = 0
+    return drawn[morton_order(drawn)] if draw(st.booleans()) else drawn
 
 
 def spread_symbols(shape: tuple[int, ...], limit: int) -> st.SearchStrategy[np.ndarray]:

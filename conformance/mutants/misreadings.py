@@ -84,8 +84,8 @@ def _check(statement: ast.stmt, above: Sequence[ast.stmt] = ()) -> Check | None:
 
 def checks(statement: ast.stmt) -> list[Check]:
     """Returns the checks of a function."""
-    found = (_check(each, body[:i]) for body in _bodies(statement) for i, each in enumerate(body))
-    return [check for check in found if check]
+    checked = (_check(each, body[:i]) for body in _bodies(statement) for i, each in enumerate(body))
+    return [check for check in checked if check]
 
 
 def _inside(statement: ast.stmt, kind: type[ast.expr]) -> Iterator[tuple[Any, tuple[str, ...]]]:

@@ -24,11 +24,11 @@ def _probes(results: Sequence[Result]) -> list[WrongNumber]:
     for r in sorted(results, key=lambda r: len(r.requirements)):
         if r.probe:
             by_clause.setdefault(r.probe.clauses[0], []).append((r.id, r.probe.text()))
-    found = [
+    numbers = [
         WrongNumber(clause, titles[clause].title if clause in titles else "", len(wrong), *wrong[0])
         for clause, wrong in by_clause.items()
     ]
-    return sorted(found, key=lambda row: -row.vectors)
+    return sorted(numbers, key=lambda row: -row.vectors)
 
 
 def _lines(probes: list[WrongNumber], results: Sequence[Result]) -> Iterator[str]:

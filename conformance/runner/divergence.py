@@ -115,26 +115,26 @@ def _shown(value: NDArray) -> str:
     return str(value[()])
 
 
-def _compare_part(scene: Scene, part: str, right: bytes, found: bytes, start: int) -> Divergence:
+def _compare_part(scene: Scene, part: str, right: bytes, output: bytes, start: int) -> Divergence:
     """Returns the first difference of two unequal parts of the same length."""
     if part == "head":
-        at = next(i for i, (a, b) in enumerate(zip(right, found, strict=True)) if a != b)
+        at = next(i for i, (a, b) in enumerate(zip(right, output, strict=True)) if a != b)
         if at < 8:
-            return Divergence(part, "the eight bytes", right[:8].hex(" "), found[:8].hex(" "), start, "the head")
+            return Divergence(part, "the eight bytes", right[:8].hex(" "), output[:8].hex(" "), start, "the head")
         fields = [("N", 8, 12)]
         for table, name in (("RenderInfo", "render_info"), ("Dimensions", "dimensions")):
             elements = syntax.parse_elements(table, right, fields[-1][2], name)
             fields += [(element.path, element.start, element.end) for element in elements]
         name, first, end = next(field for field in fields if at < field[2])
-        values = [data[first:end].hex(" ") for data in (right, found)]
+        values = [data[first:end].hex(" ") for data in (right, output)]
         return Divergence(part, name, values[0], values[1], start + first, "the head")
     if part == "digests":
-        number = next(i for i, (a, b) in enumerate(zip(right, found, strict=True)) if a != b) // 32
-        values = [data[32 * number : 32 * number + 32].hex() for data in (right, found)]
+        number = next(i for i, (a, b) in enumerate(zip(right, output, strict=True)) if a != b) // 32
+        values = [data[32 * number : 32 * number + 32].hex() for data in (right, output)]
         element, place = f"that of the {part_names(scene.render.render_model)[number]}", start + 32 * number
         return Divergence(part, element, values[0], values[1], place, "the parts are right")
     kind, shape = _types(scene)[part]
-    a, b = (np.frombuffer(data, kind).reshape(shape) for data in (right, found))
+    a, b = (np.frombuffer(data, kind).reshape(shape) for data in (right, output))
     # Bits are compared: -0 differs from +0, and NaNs may be equal.
     differ = a.view(f"<u{a.itemsize}") != b.view(f"<u{b.itemsize}")
     flat = int(np.argmax(differ))
@@ -163,23 +163,23 @@ def _parts(scene: Scene) -> Iterator[tuple[str, int, bytes]]:
     yield "digests", len(head), listed[len(head) :]
 
 
-def of_output(data: bytes, found: bytes) -> Divergence | None:
-    """Returns the first difference of a decoder's output, `found`, for a valid file; None if the output is right."""
+def of_output(data: bytes, output: bytes) -> Divergence | None:
+    """Returns the first difference of a decoder's `output` for a valid file; None if the output is right."""
     scene = codec.parse(data).scene
     end = 0
     for part, at, right in _parts(scene):
-        got = found[at : at + len(right)]
+        got = output[at : at + len(right)]
         common = right[: len(got)]
         if got != common:
             # Right bytes replace missing ones, so that only present values are compared.
             return _compare_part(scene, part, right, got + right[len(got) :], at)
         if len(got) < len(right):
             return Divergence(
-                part, "the part", f"{len(right)} bytes", f"{len(got)} bytes", at, f"the output has {len(found)} bytes"
+                part, "the part", f"{len(right)} bytes", f"{len(got)} bytes", at, f"the output has {len(output)} bytes"
             )
         end = max(end, at + len(right))
-    if len(found) > end:
-        return Divergence("end", "the output", f"{end} bytes", f"{len(found)} bytes", end, "what is there is right")
+    if len(output) > end:
+        return Divergence("end", "the output", f"{end} bytes", f"{len(output)} bytes", end, "what is there is right")
     return None
 
 
@@ -212,13 +212,15 @@ def _wrong_symbol(rows: list[TraceRow], number: int, line: str | None, end: int)
     row = rows[number]
     # For the same symbol, the values suffice.
     same, value = line is not None and line.startswith(f"{row.path} "), str(row.value)
-    found = "nothing" if line is None else printable(line.removeprefix(f"{row.path} "), _SHOWN)
+    symbol = "nothing" if line is None else printable(line.removeprefix(f"{row.path} "), _SHOWN)
     count += f"; the right model is {row.family}, mean {row.mean}, scale {row.scale}"
     clauses = SYMBOL_CLAUSES[row.path.partition("[")[0].split(".")[0]]
     clauses = (
         f"{clauses}, and for slices behind the first 7.9" if row.path.startswith("attributes.features") else clauses
     )
-    return Divergence("trace", row.path, value if same else f"{row.path} {value}", found, row.substream, count, clauses)
+    return Divergence(
+        "trace", row.path, value if same else f"{row.path} {value}", symbol, row.substream, count, clauses
+    )
 
 
 def annotated(data: bytes, offset: int) -> list[str]:

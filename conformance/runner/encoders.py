@@ -74,7 +74,7 @@ def examine(data: bytes, meant: Meant = Meant()) -> Verdict:
     return Verdict(True, f"valid, canonical, the same result from both decoders; digest {first}", warnings)
 
 
-def _difference(found: divergence.Divergence) -> str:
+def _difference(first: divergence.Divergence) -> str:
     """Returns a difference as a line: the file is right, and the encoder meant another value."""
-    values = f"{found.expected} in the file, {found.found} was meant ({found.differing})"
-    return f"{found.part}: {found.element} is {values}; read {found.clauses}"
+    values = f"{first.expected} in the file, {first.found} was meant ({first.differing})"
+    return f"{first.part}: {first.element} is {values}; read {first.clauses}"

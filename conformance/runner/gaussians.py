@@ -16,28 +16,28 @@ KINDS = {"mean": 3, "lengths": 3, "quaternion": 4, "opacity": 1, "colour": 3}
 def _by_place(text: bytes | str) -> dict[tuple[int, int], dict[str, list[float]]]:
     """Returns the Gaussians of a list by anchor and offset. Raises ValueError for another document."""
     try:
-        found = {}
+        places = {}
         for g in parse_json(text)["gaussians"]:
             values = {kind: [float(x) for x in (g[kind] if size > 1 else [g[kind]])] for kind, size in KINDS.items()}
             if any(len(values[kind]) != size for kind, size in KINDS.items()):
                 raise ValueError("a vector of another length")
             place = (int(g["anchor"]), int(g["offset"]))
-            if place in found:
+            if place in places:
                 raise ValueError(f"anchor {place[0]}, offset {place[1]} twice")
-            found[place] = values
+            places[place] = values
     except (KeyError, TypeError) as error:
         raise ValueError(f"no list of Gaussians: {type(error).__name__} {printable(str(error), 80)}") from None
-    return found
+    return places
 
 
-def difference(expected: bytes | str, found: bytes | str, tolerance: float) -> str | None:
+def difference(expected: bytes | str, output: bytes | str, tolerance: float) -> str | None:
     """Returns the first difference in words, or None.
 
-    expected, found: JSON. tolerance: relative to the length of the expected vector.
+    expected, output: JSON. tolerance: relative to the length of the expected vector.
     """
     wanted = _by_place(expected)
     try:
-        made: dict[tuple[int, int], dict[str, Any]] = _by_place(found)
+        made: dict[tuple[int, int], dict[str, Any]] = _by_place(output)
     except ValueError as error:
         return str(error)
     for place in sorted(wanted.keys() | made.keys()):

@@ -137,7 +137,7 @@ def read_output(file: BinaryIO) -> Output:
     n = int.from_bytes(start[len(DIGEST_MAGIC) :][:4], "little")
     k, f, ch, b = d.offset_count, sum(d.slice_width), d.plane_channels, d.plane_size
     sizes = [12 * n, n * k, 2 * 5 * ch * b * b, 4 * n * f, 24 * n, 12 * n * k, 4 * weight_count(dimensions_of(d))]
-    found = head
+    content = head
     for number, name in enumerate(names):
         # The last part has no stated size.
         left = sizes[number] if number < len(names) - 1 else None
@@ -146,9 +146,9 @@ def read_output(file: BinaryIO) -> Output:
             digest.update(block)
             whole.update(block)
             left = None if left is None else left - len(block)
-        found += digest.digest()
+        content += digest.digest()
         parts[name] = digest.hexdigest()
-    return Output(hashlib.sha256(listed).hexdigest() if found == listed else whole.hexdigest(), parts)
+    return Output(hashlib.sha256(listed).hexdigest() if content == listed else whole.hexdigest(), parts)
 
 
 def read(ended: Ended, output: Path, expected: Accepted | None = None) -> Found:
@@ -164,15 +164,15 @@ def read(ended: Ended, output: Path, expected: Accepted | None = None) -> Found:
     if ended.status == statuses.DONE:
         try:
             with open_file(output) as file:
-                found = read_output(file)
+                content = read_output(file)
         except FileNotFoundError:
             return crash("exit status 0 without an output file")
         except FileError as error:
             return crash(f"its output {error}")
         wrong: tuple[str, ...] = ()
-        if expected and found.digest != expected.digest:
-            wrong = tuple(n for n, digest in expected.parts.items() if found.parts.get(n) != digest) or ("digests",)
-        return Found("accepted", ended.status, None, digest=found.digest, differing=wrong)
+        if expected and content.digest != expected.digest:
+            wrong = tuple(n for n, digest in expected.parts.items() if content.parts.get(n) != digest) or ("digests",)
+        return Found("accepted", ended.status, None, digest=content.digest, differing=wrong)
     if ended.status not in (statuses.REJECTED, statuses.UNSUPPORTED):
         return crash(f"exit status {ended.status}")
     last = ended.stderr.strip().splitlines()[-1:]
@@ -187,32 +187,32 @@ def _describe(code: int) -> str:
     return f"{code} {kind.name}, {kind.klass}"
 
 
-def _judge_refusal(expected: Rejected, found: Found) -> Judgement:
-    if found.result != "rejected" or found.code is None:
+def _judge_refusal(expected: Rejected, answer: Found) -> Judgement:
+    if answer.result != "rejected" or answer.code is None:
         return Judgement(GRADE_NONE, f"accepted; {_describe(expected.code)}, at byte {expected.offset} expected")
     wanted = exit_status(BY_CODE[expected.code].klass)
-    where = "no offset" if found.offset is None else f"byte {found.offset}"
-    text = f"{_describe(found.code)}, {where}; {_describe(expected.code)}, byte {expected.offset} expected"
-    if found.status != wanted:
-        return Judgement(GRADE_VERDICT, f"exit status {found.status}, {wanted} expected; {text}")
-    if found.code != expected.code:
+    where = "no offset" if answer.offset is None else f"byte {answer.offset}"
+    text = f"{_describe(answer.code)}, {where}; {_describe(expected.code)}, byte {expected.offset} expected"
+    if answer.status != wanted:
+        return Judgement(GRADE_VERDICT, f"exit status {answer.status}, {wanted} expected; {text}")
+    if answer.code != expected.code:
         return Judgement(GRADE_VERDICT, text)
-    if found.offset != expected.offset:
+    if answer.offset != expected.offset:
         return Judgement(GRADE_CODE, text)
     return Judgement(GRADE_EXACT, "")
 
 
-def judge(manifest: Manifest, vector: Vector, found: Found, output: Path) -> Judgement:
+def judge(manifest: Manifest, vector: Vector, answer: Found, output: Path) -> Judgement:
     """Compares a decoder's answer and its output file with the expectation of a vector."""
-    if found.result == "crashed":
-        return Judgement(GRADE_NONE, f"crash: {found.text}")
+    if answer.result == "crashed":
+        return Judgement(GRADE_NONE, f"crash: {answer.text}")
     if isinstance(vector.expectation, Rejected):
-        return _judge_refusal(vector.expectation, found)
-    if found.result == "rejected":
-        assert found.code is not None
-        return Judgement(GRADE_NONE, f"refused with {_describe(found.code)}; the file is valid")
+        return _judge_refusal(vector.expectation, answer)
+    if answer.result == "rejected":
+        assert answer.code is not None
+        return Judgement(GRADE_NONE, f"refused with {_describe(answer.code)}; the file is valid")
     if isinstance(vector.expectation, Accepted):
-        right = found.digest == vector.expectation.digest
+        right = answer.digest == vector.expectation.digest
         return (
             Judgement(GRADE_EXACT, "")
             if right

@@ -99,18 +99,18 @@ def _clauses(packed: bool, name: str, doubtful: set[str], symbols: bool) -> tupl
     doubtful: the kinds of numbers that the trace lacks for the anchor. symbols: whether symbols precede the number; the
     planes are then right.
     """
-    found: list[str] = []
+    clauses: list[str] = []
     waiting = [_kind(name)]
     while waiting:
         kind = waiting.pop(0)
         own, sources = _NUMBERS[kind]
-        found += own
+        clauses += own
         if kind == "P" and packed:
-            found.append("7.12")
+            clauses.append("7.12")
         if kind == "samples" and not symbols:
-            found.append("7.3")
+            clauses.append("7.3")
         waiting += [source for source in sources if source in doubtful]
-    return tuple(dict.fromkeys(found))
+    return tuple(dict.fromkeys(clauses))
 
 
 def compare(right: OfScene, trace: bytes, wrong_symbol: int | None) -> Compared:
@@ -130,18 +130,18 @@ def compare(right: OfScene, trace: bytes, wrong_symbol: int | None) -> Compared:
         count += 1
         if count > PROBES:
             break
-        said = _read(line, whole, right, done)
-        if isinstance(said, str):
-            compared.fault = compared.fault or f"line {number} of the trace: {said}"
+        reading = _read(line, whole, right, done)
+        if isinstance(reading, str):
+            compared.fault = compared.fault or f"line {number} of the trace: {reading}"
             compared.faults += 1
             continue
-        name, anchor, found, wanted = said
-        differs = next((i for i, (a, b) in enumerate(zip(found, wanted, strict=True)) if a != b), None)
+        name, anchor, given, wanted = reading
+        differs = next((i for i, (a, b) in enumerate(zip(given, wanted, strict=True)) if a != b), None)
         kinds = written.setdefault(anchor, set())
         if differs is not None:
             doubtful = {_kind(known) for known in right(anchor)[0]} - kinds
             clauses = _clauses(right.packed, name, doubtful, symbols > 0)
-            compared.first = Probe(name, anchor, differs, found[differs], wanted[differs], clauses)
+            compared.first = Probe(name, anchor, differs, given[differs], wanted[differs], clauses)
             break
         kinds.add(_kind(name))
         compared.right += 1
@@ -161,7 +161,7 @@ def _read(
     form = _FORM.fullmatch(text)
     if form is None:
         return f"not a probe: {printable(text, _SHOWN)}"
-    name, anchor, found = form[1], int(form[2]), [int(value) for value in form[3].split()]
+    name, anchor, given = form[1], int(form[2]), [int(value) for value in form[3].split()]
     if anchor >= right.anchors:
         return f"there is no anchor {anchor}: the file has {right.anchors}"
     block, row = right(anchor)
@@ -171,6 +171,6 @@ def _read(
         return f"{name}[{anchor}] is repeated"
     done.add((name, anchor))
     wanted = block[name][row].tolist()
-    if len(found) != len(wanted):
-        return f"{name}[{anchor}] has {len(found)} numbers, {len(wanted)} expected"
-    return name, anchor, found, wanted
+    if len(given) != len(wanted):
+        return f"{name}[{anchor}] has {len(given)} numbers, {len(wanted)} expected"
+    return name, anchor, given, wanted

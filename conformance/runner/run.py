@@ -138,9 +138,9 @@ def result_of(vector: Vector, status: Status, **more: Any) -> Result:
     return Result(*stated, tuple(clauses), v.input.path, expected, status, **more)
 
 
-def status_of(found: Found, judgement: Judgement, grade: int) -> Status:
+def status_of(answer: Found, judgement: Judgement, grade: int) -> Status:
     """Returns the status of a vector that was run and is not a known failure. grade: the lowest that passes."""
-    if found.result == "crashed":
+    if answer.result == "crashed":
         return "crashed"
     return "passed" if judgement.grade >= grade else "failed"
 
@@ -164,12 +164,12 @@ def wrong_hashes(manifest: Manifest) -> list[str]:
     wrong = []
     for path, digest in wanted.items():
         try:
-            found = hashlib.sha256((manifest.folder / path).read_bytes()).hexdigest()
+            actual = hashlib.sha256((manifest.folder / path).read_bytes()).hexdigest()
         except OSError as error:
             wrong.append(f"{path}: {error.strerror}")
             continue
-        if found != digest:
-            wrong.append(f"{path}: its SHA-256 is {found}, {digest} expected")
+        if actual != digest:
+            wrong.append(f"{path}: its SHA-256 is {actual}, {digest} expected")
     return wrong
 
 
@@ -194,14 +194,14 @@ class _Desk:
             raise StoppedError
         with closing(Folder(self._data(vector), camera)) as folder:
             ended = self._end(vector, template, folder)
-            found = read(ended, folder.output, e if isinstance(e, Accepted) else None)
-            judgement = self._with_trace(vector, judge(self.manifest, vector, found, folder.output), folder)
+            answer = read(ended, folder.output, e if isinstance(e, Accepted) else None)
+            judgement = self._with_trace(vector, judge(self.manifest, vector, answer, folder.output), folder)
             result = result_of(
                 vector,
-                status_of(found, judgement, o.grade),
+                status_of(answer, judgement, o.grade),
                 grade=judgement.grade,
                 text=judgement.text,
-                found=found,
+                found=answer,
                 stderr=shown(ended.stderr),
                 seconds=round(ended.seconds, 3),
                 peak_bytes=ended.peak,

@@ -47,9 +47,9 @@ def has_any(trace: bytes) -> bool:
 def symbols_digest(trace: bytes) -> str:
     """Returns the SHA-256 of a trace without its probes, in hexadecimal."""
     digest, at, whole = hashlib.sha256(), 0, memoryview(trace)
-    for found in _LINES.finditer(trace):
-        digest.update(whole[at : found.start()])
-        at = found.end()
+    for match in _LINES.finditer(trace):
+        digest.update(whole[at : match.start()])
+        at = match.end()
     digest.update(whole[at:])
     return digest.hexdigest()
 

@@ -40,10 +40,10 @@ def decode(data: bytes) -> Decoded:
     """Decodes a file. Raises C3GSError if it is refused."""
     support.HASHED.clear()
     try:
-        found = blocks.DECODE_FILE(list(data))
+        decoded = blocks.DECODE_FILE(list(data))
     except blocks.Refused as refused:
         raise C3GSError(*refused.args) from None
-    *parts, scene = list(support.HASHED)[-len(found["parts"]) - 1 :]
+    *parts, scene = list(support.HASHED)[-len(decoded["parts"]) - 1 :]
     digests = {"whole": hashlib.sha256(scene).hexdigest()}
     digests |= {name: hashlib.sha256(part).hexdigest() for name, part in zip(PARTS, parts, strict=False)}
     return Decoded(digests, scene + b"".join(parts))

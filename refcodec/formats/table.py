@@ -76,9 +76,9 @@ def is_splat_file(file: Path) -> bool:
 
 def model_splats(folder: Path) -> Path | None:
     """Returns the splat file of the last iteration in the folder of a model of 3DGS; None for other folders."""
-    found = folder.glob("point_cloud/iteration_*/point_cloud.ply")
+    files = folder.glob("point_cloud/iteration_*/point_cloud.ply")
     # iteration_30000 is behind iteration_7000.
-    file = max(found, key=lambda path: (len(path.parent.name), path), default=None)
+    file = max(files, key=lambda path: (len(path.parent.name), path), default=None)
     with contextlib.suppress(PlyError, NotAFileError, OSError):
         names = property_names(file) if file and is_there(file) else []
         return file if "f_dc_0" in names and "f_offset_0" not in names else None

@@ -141,10 +141,10 @@ def test_a_slower_path_is_told(file: Path, call: Call, monkeypatch: pytest.Monke
     places.note_slower_path.cache_clear()
     assert call("validate", file)[2] == ""
     monkeypatch.setattr(places, "time", SimpleNamespace(monotonic=count(step=2).__next__))
-    for told in (1, 0):
+    for times in (1, 0):
         err = call("validate", file)[2]
-        assert err.count("\n") == told
-        assert err.count("a slower path runs than the processor allows: the native kernel is not there; it is") == told
+        assert err.count("\n") == times
+        assert err.count("a slower path runs than the processor allows: the native kernel is not there; it is") == times
     places.note_slower_path.cache_clear()
     assert "\rrefcodec: a slower path runs" in call("validate", file, "--progress")[2]
     places.note_slower_path.cache_clear()

@@ -45,18 +45,18 @@ def test_export(place: Path, call: Call, monkeypatch: pytest.MonkeyPatch) -> Non
     words = ["export", "scene.c3gs", *(word for output in outputs for word in ("-o", output.name)), *QUICK]
     status, out, err = call(*words)
     assert (status, len(fits)) == (0, 1)
-    found = re.findall(
+    lines = re.findall(
         r"(scene\.\w+): (\S+) of 6,120 Gaussians, degree 1, (\S+) bytes, scene\.c3gs has 53,052\n"
         r"(?:its harmonics have 7 bits; with 8 \(export --spz-bits\) it has \S+ bytes\n)?"
         r"PSNR to the scene: (\S+) dB over 2 views, fitted to 16 cameras around the scene\n",
         out,
     )
-    assert [name for name, *_ in found] == [output.name for output in outputs], out
-    assert [int(size.replace(",", "")) for *_, size, _ in found] == [output.stat().st_size for output in outputs]
-    assert all(float(near) > 25 for *_, near in found)
+    assert [name for name, *_ in lines] == [output.name for output in outputs], out
+    assert [int(size.replace(",", "")) for *_, size, _ in lines] == [output.stat().st_size for output in outputs]
+    assert all(float(near) > 25 for *_, near in lines)
     assert "--cameras PHOTOGRAPHS" in err
     table = PlyData.read(str(outputs[0]))["vertex"].data
-    assert len(table) == int(found[0][1].replace(",", ""))
+    assert len(table) == int(lines[0][1].replace(",", ""))
     assert all(np.isfinite(table[name]).all() for name in table.dtype.names)
     # It replaces what it wrote, with the same bytes, and nothing else.
     before = [output.read_bytes() for output in outputs]
@@ -75,13 +75,13 @@ def test_a_static_scene(place: Path, call: Call, monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(fit, "fit", None)
     shutil.copy(TRAINED.with_name("static-degree-2.c3gs"), place / "static.c3gs")
     outputs = [f"static.{suffix}" for suffix in ("ply", "spz", "sog", "glb")]
-    said = call("export", "static.c3gs", *(word for output in outputs for word in ("-o", output)))
-    assert (said[0], said[2]) == (0, "")
+    outcome = call("export", "static.c3gs", *(word for output in outputs for word in ("-o", output)))
+    assert (outcome[0], outcome[2]) == (0, "")
     for output in outputs:
         size = (place / output).stat().st_size
-        assert f"{output}: 9 Gaussians, degree 2, {size:,} bytes, static.c3gs has 4,040\n" in said[1]
+        assert f"{output}: 9 Gaussians, degree 2, {size:,} bytes, static.c3gs has 4,040\n" in outcome[1]
     before = [(place / output).read_bytes() for output in outputs]
-    assert call("decode", "static.c3gs", *(word for output in outputs for word in ("--splat", output))) == said
+    assert call("decode", "static.c3gs", *(word for output in outputs for word in ("--splat", output))) == outcome
     assert [(place / output).read_bytes() for output in outputs] == before
     assert call("decode", "static.c3gs", "-o", "folder")[0] == call("export", "folder", "-o", "again.ply")[0] == 0
     assert (place / "again.ply").read_bytes() == before[0]
@@ -91,8 +91,8 @@ def test_bits_of_spz(place: Path, call: Call) -> None:
     """Fewer bits take fewer bytes, and the output has the size with others."""
     sizes = {}
     for words in ([], ["--spz-bits", "4"], ["--spz-bits", "8"]):
-        said = r"its harmonics have (\d) bits; with (\d) \(export --spz-bits\) it has (\S+) bytes"
-        ((bits, other, size),) = re.findall(said, call("export", "scene.c3gs", "-o", "a.spz", *QUICK, *words)[1])
+        pattern = r"its harmonics have (\d) bits; with (\d) \(export --spz-bits\) it has (\S+) bytes"
+        ((bits, other, size),) = re.findall(pattern, call("export", "scene.c3gs", "-o", "a.spz", *QUICK, *words)[1])
         sizes[bits] = (place / "a.spz").stat().st_size
         sizes.setdefault(f"said {other}", int(size.replace(",", "")))
     assert list(sizes) == ["7", "said 8", "4", "8", "said 7"]

@@ -120,8 +120,8 @@ WRONG = rows(
 )
 
 
-@pytest.mark.parametrize(("command", "said", "needs"), WRONG)
-def test_wrong_usage(command: str, said: str, needs: str, place: Path, call: Call) -> None:
+@pytest.mark.parametrize(("command", "message", "needs"), WRONG)
+def test_wrong_usage(command: str, message: str, needs: str, place: Path, call: Call) -> None:
     if not packages(*needs.split()):
         pytest.skip(f"needs {needs}")
     shutil.copy(TRAINED, "trained.c3gs")
@@ -132,7 +132,7 @@ def test_wrong_usage(command: str, said: str, needs: str, place: Path, call: Cal
     before = contents(place)
     status, out, err = call(*command.split())
     lines = [line for line in err.splitlines() if line.startswith(("refcodec", "train: "))]
-    assert (status, out, said in err) == (64, "", True), err
+    assert (status, out, message in err) == (64, "", True), err
     assert len(lines) == 1 or command.startswith("export empty"), err
     assert '"code"' not in err
     assert "Traceback" not in err
@@ -177,7 +177,7 @@ FIT, CONVERT = {"points": "p", "output": "o"}, {"source": "s", "output": "o"}
 
 
 @pytest.mark.parametrize(
-    ("function", "arguments", "said"),
+    ("function", "arguments", "message"),
     [
         (api.fit, {**FIT, "steps": 0}, "--steps must be a whole number of at least 1, not 0"),
         (api.fit, {**FIT, "steps": 1.5}, "--steps must be a whole number of at least 1, not 1.5"),
@@ -193,8 +193,8 @@ FIT, CONVERT = {"points": "p", "output": "o"}, {"source": "s", "output": "o"}
         (api.convert, {**CONVERT, "psnr": 10}, "--psnr must be a number from 20 to 70, not 10"),
     ],
 )
-def test_python_is_told_the_same(function: Any, arguments: dict[str, Any], said: str) -> None:
-    with pytest.raises(UsageError, match=re.escape(said)):
+def test_python_is_told_the_same(function: Any, arguments: dict[str, Any], message: str) -> None:
+    with pytest.raises(UsageError, match=re.escape(message)):
         function(**arguments)
     with pytest.raises(TypeError, match="nonsense"):
         function(**arguments, nonsense=1)
@@ -222,8 +222,8 @@ def test_a_missing_package_is_named(command: str, package: str, extra: str, plac
     program = f"import sys; sys.modules[{package!r}] = None; from refcodec.cli import main; sys.exit(main.main())"
     words = [sys.executable, "-c", program, *command.split()]
     done = subprocess.run(words, capture_output=True, text=True, check=False)
-    said = f"refcodec: {command.split(maxsplit=1)[0]} needs {package}: pip install 'refcodec[{extra}]'\n"
-    assert (done.returncode, done.stderr, contents(place)) == (64, said, before)
+    message = f"refcodec: {command.split(maxsplit=1)[0]} needs {package}: pip install 'refcodec[{extra}]'\n"
+    assert (done.returncode, done.stderr, contents(place)) == (64, message, before)
 
 
 @pytest.mark.parametrize(

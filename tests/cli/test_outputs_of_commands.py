@@ -127,7 +127,7 @@ def finished_curve(folder: Path) -> None:
 def shorten(words: str, patch: pytest.MonkeyPatch) -> None:
     """Makes work before the outputs short, and does it once."""
 
-    def once(module: str, name: str, after: Callable[[Any], None] = lambda found: None, **fixed: Any) -> None:
+    def once(module: str, name: str, after: Callable[[Any], None] = lambda value: None, **fixed: Any) -> None:
         place, known = import_module(module), []
         real = getattr(place, name)
 
@@ -192,8 +192,8 @@ def test_faults(
             status = run(words)
         return status, [line for line in capsys.readouterr().err.splitlines() if not NOTES.match(line)]
 
-    status, said = tried()
-    assert status == 0, said
+    status, message = tried()
+    assert status == 0, message
     points, new = list(faults.points), contents(work)
     done: dict[str, set[str]] = {}
     for kind, name in (point.split(" ", 1) for point in points):
@@ -209,11 +209,11 @@ def test_faults(
             (lambda point=point: fault_of(point), statuses.USAGE),
             (lambda ends=ends: signalled(ends), statuses.INTERRUPTED),
         ):
-            status, said = tried(number, error)
-            where = f"{point} (point {number}), {expected}: {said}"
+            status, message = tried(number, error)
+            where = f"{point} (point {number}), {expected}: {message}"
             assert status == expected, where
-            assert len(said) == 1, where
-            assert not re.search(r" output:|\.refcodec-", said[0]), where
+            assert len(message) == 1, where
+            assert not re.search(r" output:|\.refcodec-", message[0]), where
             left = contents(work)
             for name in old.keys() | left.keys():
                 assert name in left or name not in old or name not in new, f"{name} is lost: {where}"
@@ -234,8 +234,8 @@ def test_faults(
                 ]
                 assert sides[0] in sides[1:], f"{folder} is a mixture: {where}"
     # What the last fault left is no hindrance.
-    status, said = tried()
-    assert status == 0, said
+    status, message = tried()
+    assert status == 0, message
     assert contents(work).keys() == new.keys()
 
 
@@ -354,8 +354,8 @@ EACH += [
 ]
 
 
-@pytest.mark.parametrize(("words", "said", "steps", "needs"), EACH)
-def test_refused(words: str, said: str, steps: str, needs: str, place: Path, capsys: Any) -> None:
+@pytest.mark.parametrize(("words", "message", "steps", "needs"), EACH)
+def test_refused(words: str, message: str, steps: str, needs: str, place: Path, capsys: Any) -> None:
     """Status 64, one line, and nothing changed."""
     if not packages(*needs.split()):
         pytest.skip(f"needs {needs}")
@@ -368,7 +368,7 @@ def test_refused(words: str, said: str, steps: str, needs: str, place: Path, cap
     capsys.readouterr()
     assert run(words) == 64
     err = capsys.readouterr().err
-    assert said in err
+    assert message in err
     assert len(err.splitlines()) == 1, err
     assert contents(place) == before
 
@@ -443,7 +443,7 @@ def together(count: int, *words: str) -> list[tuple[int, str]]:
     """The exit status and stderr of some processes with one command."""
     command = [sys.executable, "-m", "refcodec", *words]
     processes = [subprocess.Popen(command, stderr=subprocess.PIPE, text=True) for _ in range(count)]
-    return [(p.returncode, said) for p in processes for said in [p.communicate(timeout=120)[1]]]
+    return [(p.returncode, message) for p in processes for message in [p.communicate(timeout=120)[1]]]
 
 
 def test_decodes_at_once(place: Path, call: Call) -> None:
@@ -461,9 +461,9 @@ def test_decodes_at_once(place: Path, call: Call) -> None:
 def test_one_fit_at_a_time(place: Path) -> None:
     """They share the state that is saved."""
     pytest.importorskip("torch")
-    found = together(3, "fit", "points3D.txt", "-o", "new", "--steps", "300")
-    assert min(status for status, _ in found) == 0, found
-    for status, said in found:
+    ends = together(3, "fit", "points3D.txt", "-o", "new", "--steps", "300")
+    assert min(status for status, _ in ends) == 0, ends
+    for status, message in ends:
         assert status in (0, 64)
-        assert status == 0 or ("another run" in said and len(said.splitlines()) == 1)
+        assert status == 0 or ("another run" in message and len(message.splitlines()) == 1)
     assert not list(place.glob("*.lock"))

@@ -46,10 +46,10 @@ def compiled(folder: Path, *, sanitizers: bool = True) -> Program:
     assert COMPILER is not None
     path = folder / "decoder"
     for flags in ([*FLAGS, *SANITIZERS], FLAGS) if sanitizers else (FLAGS,):
-        found = subprocess.run([COMPILER, *flags, SOURCE, "-o", path], capture_output=True, text=True, check=False)
-        if not found.returncode:
+        ended = subprocess.run([COMPILER, *flags, SOURCE, "-o", path], capture_output=True, text=True, check=False)
+        if not ended.returncode:
             return Program(path, folder)
-    raise AssertionError(found.stderr)
+    raise AssertionError(ended.stderr)
 
 
 def read(ended: subprocess.CompletedProcess[bytes]) -> Verdict:
@@ -57,8 +57,8 @@ def read(ended: subprocess.CompletedProcess[bytes]) -> Verdict:
     if ended.returncode == 0:
         return ended.stdout.split()[1].decode(), -1
     assert ended.returncode in (1, 2), ended.stderr.decode()
-    said = json.loads(ended.stderr.splitlines()[-1])
-    kind = REGISTRY[said["name"]]
-    assert said["code"] == kind.code
+    refusal = json.loads(ended.stderr.splitlines()[-1])
+    kind = REGISTRY[refusal["name"]]
+    assert refusal["code"] == kind.code
     assert ended.returncode == (2 if kind.klass == "unsupported" else 1)
-    return kind.name, said["offset"]
+    return kind.name, refusal["offset"]

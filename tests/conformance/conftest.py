@@ -18,17 +18,17 @@ def suite(tmp_path_factory: pytest.TempPathFactory) -> Suite:
 
 @pytest.fixture(scope="session")
 def decoders(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Decoders]:
-    with started(tmp_path_factory.mktemp("decoders")) as found:
-        yield found
+    with started(tmp_path_factory.mktemp("decoders")) as every:
+        yield every
 
 
 @pytest.fixture(scope="session")
 def c_decoder(decoders: Decoders) -> Program:
     """The decoder in C, with the compiler's sanitizers."""
-    found = decoders.others.get("C")
-    if not isinstance(found, Program):
+    decoder = decoders.others.get("C")
+    if not isinstance(decoder, Program):
         pytest.skip("there is no C compiler here")
-    return found
+    return decoder
 
 
 @pytest.fixture(scope="session")

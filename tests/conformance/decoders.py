@@ -43,10 +43,10 @@ NEEDED = {"C": c_program.COMPILER, "web": web_program.NODE}
 @contextlib.contextmanager
 def started(folder: Path) -> Iterator[Decoders]:
     """Yields all decoders but those whose program is missing. folder: for their files."""
-    found: dict[str, Decoder] = {}
+    every: dict[str, Decoder] = {}
     with contextlib.ExitStack() as stack:
         if NEEDED["C"]:
-            found["C"] = c_program.compiled(folder)
+            every["C"] = c_program.compiled(folder)
         if NEEDED["web"]:
-            found["web"] = stack.enter_context(web_program.running(folder))
-        yield Decoders(found)
+            every["web"] = stack.enter_context(web_program.running(folder))
+        yield Decoders(every)

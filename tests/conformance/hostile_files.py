@@ -85,10 +85,10 @@ def faulty(draw: st.DrawFn, error: str) -> Refused:
     """A file with any fault that has this error."""
     name = draw(st.sampled_from([name for name, fault in drawable().items() if fault.error == error]))
     targets = draw(st.permutations(TARGETS))
-    found = next((refused for t in targets if (refused := draw_fault(draw, t, name)) is not None), None)
-    assume(found is not None)
-    assert found is not None
-    return found
+    faulted = next((refused for t in targets if (refused := draw_fault(draw, t, name)) is not None), None)
+    assume(faulted is not None)
+    assert faulted is not None
+    return faulted
 
 
 # --- changed and cut files --------------------------------------------------------------------------------------------
@@ -107,15 +107,15 @@ SIZES = {"f32": 4, "f16": 2}
 
 def places(target: Target) -> list[tuple[int, int]]:
     """(offset, bytes) of each element: fields, padding, and the first items of what is long."""
-    found = []
+    fields = []
     for row in target.elements.values():
         item = row.kind.partition("[")
         size = SIZES.get(item[0], int(item[0][1:]) // 8 if item[0][1:].isdigit() else 1) if item[1] else 0
         if size:
-            found += [(at, size) for at in range(row.start, min(row.end, row.start + 12 * size) - size + 1, size)]
+            fields += [(at, size) for at in range(row.start, min(row.end, row.start + 12 * size) - size + 1, size)]
         elif 0 < row.end - row.start <= 8:
-            found.append((row.start, row.end - row.start))
-    return found
+            fields.append((row.start, row.end - row.start))
+    return fields
 
 
 PLACES = {name: places(Target(file)) for name, file in FILES.items()}

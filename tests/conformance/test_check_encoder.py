@@ -46,8 +46,8 @@ def test_a_packed_negative_zero(tmp_path: Path, capsys: pytest.CaptureFixture[st
 def test_warnings_and_usage(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """SPEC 6.14 and 6.15: metadata and cameras never make a file wrong."""
     path, data = tmp_path / "odd.c3gs", bytearray(EXAMPLE.read_bytes())
-    found = {row.path: row for row in rows(bytes(data))}
-    width = next(row for name, row in found.items() if name.endswith("camera[0].width"))
+    by_path = {row.path: row for row in rows(bytes(data))}
+    width = next(row for name, row in by_path.items() if name.endswith("camera[0].width"))
     data[width.start : width.end] = bytes(4)
     path.write_bytes(repair(bytes(data)))
     assert cli.main(["check-encoder", str(path)]) == statuses.DONE

@@ -89,8 +89,8 @@ def test_any_file_may_lack_the_place_of_a_fault(name: str, data: st.DataObject) 
     """A file without anchors, planes, packed weights and so without substreams has few places."""
     empty = Target(codec.emit(random_scene(38, 0, CONSTANT)))
     assert not empty.substreams
-    found = draw_fault(data.draw, empty, name)
-    assert found is None or found.data != empty.data
+    faulted = draw_fault(data.draw, empty, name)
+    assert faulted is None or faulted.data != empty.data
 
 
 @pytest.mark.requirement("D15.4-1", "D10.2-1")
@@ -116,12 +116,12 @@ def test_fault(decoders: Decoders, name: str, data: st.DataObject) -> None:
 def test_sections_grow(decoders: Decoders) -> None:
     """A section that is four bytes longer, its checksum right, is refused by what holds its length."""
     target = TARGETS[2]
-    found = {
+    verdicts = {
         kind: decoders.agreed(resized(target.data, kind, target.content(kind) + bytes(4)))[0]
         for kind in directory.SECTIONS
     }
     implied = dict.fromkeys((directory.FRAME, directory.WEIGHTS, directory.INDEX), "directory.length")
-    assert found == {**implied, directory.PLANES_SECTION: "planes.length", directory.DATA: "index.length"}
+    assert verdicts == {**implied, directory.PLANES_SECTION: "planes.length", directory.DATA: "index.length"}
 
 
 # --- many faults ------------------------------------------------------------------------------------------------------

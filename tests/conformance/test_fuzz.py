@@ -100,8 +100,8 @@ def test_a_disagreement_is_kept(
     small: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The file is written, and the command that shows it printed. Another seed continues."""
-    found = compare.Findings(compare.Counter({"accepted": 30}), [("refcodec says a, the second decoder b", b"file")])
-    monkeypatch.setattr(compare, "run_batch", lambda number, command: found)
+    findings = compare.Findings(compare.Counter({"accepted": 30}), [("refcodec says a, the second decoder b", b"file")])
+    monkeypatch.setattr(compare, "run_batch", lambda number, command: findings)
     words = ["fuzz", "-n", "60", "--seed", "4", "--keep", str(tmp_path / "keep")]
     assert cli.main(words) == statuses.REJECTED
     kept = sorted(path.name[:2] for path in (tmp_path / "keep").iterdir())
@@ -114,7 +114,7 @@ def test_a_disagreement_is_kept(
     def interrupted(number: int, command: list[str]) -> compare.Findings:
         if number == 5:
             raise KeyboardInterrupt
-        return found
+        return findings
 
     monkeypatch.setattr(compare, "run_batch", interrupted)
     assert cli.main(words) == statuses.INTERRUPTED

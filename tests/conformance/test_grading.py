@@ -129,9 +129,9 @@ def faults(folder: Path, read: Read, judge: Judge) -> list[str]:
         output.unlink(missing_ok=True)
         if case.output is not None:
             output.write_bytes(case.output)
-        found = read(case.ended, output)
-        judgement = judge(manifest, _vector(case.expectation), found, output)
-        right = (found.result == "crashed", judgement.grade) == (case.crashed, case.grade)
+        answer = read(case.ended, output)
+        judgement = judge(manifest, _vector(case.expectation), answer, output)
+        right = (answer.result == "crashed", judgement.grade) == (case.crashed, case.grade)
         # Every fault has a text.
         if not right or bool(judgement.text) != (case.grade < 3):
             wrong.append(case.name)
@@ -178,10 +178,10 @@ def _right_if(condition: Callable[[Vector, Found], bool]) -> Judge:
     return lambda m, v, f, o: Judgement(3, "") if condition(v, f) else grading.judge(m, v, f, o)
 
 
-def _offset_ignored(manifest: Manifest, vector: Vector, found: Found, output: Path) -> Judgement:
-    if isinstance(vector.expectation, Rejected) and found.result == "rejected":
-        found = structs.replace(found, offset=vector.expectation.offset)
-    return grading.judge(manifest, vector, found, output)
+def _offset_ignored(manifest: Manifest, vector: Vector, answer: Found, output: Path) -> Judgement:
+    if isinstance(vector.expectation, Rejected) and answer.result == "rejected":
+        answer = structs.replace(answer, offset=vector.expectation.offset)
+    return grading.judge(manifest, vector, answer, output)
 
 
 JUDGES: dict[str, Judge] = {

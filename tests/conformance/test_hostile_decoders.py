@@ -76,12 +76,12 @@ def snapshot(folder: Path) -> dict[str, str]:
 
 def processes(mark: str) -> list[int]:
     """The other processes with a mark in their environment."""
-    found = []
+    running = []
     for process in psutil.process_iter():
         with contextlib.suppress(psutil.Error):
             if process.environ().get("C3GS_TEST_MARK") == mark and process.pid != os.getpid():
-                found.append(process.pid)
-    return found
+                running.append(process.pid)
+    return running
 
 
 def printable(text: str) -> bool:

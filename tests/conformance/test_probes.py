@@ -134,9 +134,9 @@ def test_a_run_tells_the_first_wrong_number(tmp_path: Path, capsys: pytest.Captu
     options = ["--select", "valid-worked-example", "--slow", "20", "--report", str(tmp_path / "report")]
     assert cli.main(["run", *options, "--", *command]) == statuses.REJECTED
     line = "the first number that differs is gamma[1] of anchor 0: found 0, wanted 723 (SPEC 7.5.5)"
-    said = capsys.readouterr().out
-    assert f"    probe: {line}\n" in said
-    assert f"\n{line}\n  read 7.5.5 (Positional encoding)" in said
+    printed = capsys.readouterr().out
+    assert f"    probe: {line}\n" in printed
+    assert f"\n{line}\n  read 7.5.5 (Positional encoding)" in printed
     record = json.loads((tmp_path / "report" / "report.json").read_text())
     wanted = {"name": "gamma", "anchor": 0, "index": 1, "found": 0, "wanted": 723, "clauses": ["7.5.5"]}
     assert record["vectors"][0]["probe"] == wanted

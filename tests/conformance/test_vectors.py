@@ -68,8 +68,8 @@ def sha256(content: bytes) -> str:
 
 
 def document() -> dict[str, Any]:
-    found: dict[str, Any] = json.loads((VECTORS / MANIFEST).read_text(encoding="utf-8"))
-    return found
+    manifest: dict[str, Any] = json.loads((VECTORS / MANIFEST).read_text(encoding="utf-8"))
+    return manifest
 
 
 def test_files_are_those_of_the_manifest() -> None:
@@ -110,17 +110,17 @@ def test_the_schema_and_the_program_allow_no_other_field(member: str) -> None:
     schema = json.loads((VECTORS / SCHEMA).read_text(encoding="utf-8"))
     jsonschema.Draft202012Validator.check_schema(schema)
     whole = document()
-    found = {**whole, "vectors": whole["vectors"][:1]}
-    jsonschema.validate(found, schema)
-    at: Any = found["vectors"][0] if member else found
+    smaller = {**whole, "vectors": whole["vectors"][:1]}
+    jsonschema.validate(smaller, schema)
+    at: Any = smaller["vectors"][0] if member else smaller
     for step in member.removeprefix("vector").split():
         at = at[step]
     for change in (lambda: at.update(more=1), at.popitem, at.popitem):
         change()
         with pytest.raises(jsonschema.ValidationError):
-            jsonschema.validate(found, schema)
+            jsonschema.validate(smaller, schema)
         with pytest.raises(ManifestError):
-            parse(found, VECTORS)
+            parse(smaller, VECTORS)
         at.pop("more", None)
 
 
@@ -294,15 +294,15 @@ def test_gaussians_that_differ() -> None:
         "colour": [0.1, 0.2, 0.3],
     }
 
-    def listed(*found: dict[str, Any]) -> str:
-        return json.dumps({"gaussians": found})
+    def listed(*gaussians: dict[str, Any]) -> str:
+        return json.dumps({"gaussians": gaussians})
 
     faint = {**g, "anchor": 4, "opacity": 0.5e-4}
     assert difference(listed(g), listed(g), 1e-4) is None
     assert difference(listed(g), listed(faint, g), 1e-4) is None
     assert difference(listed(g, faint), listed(g), 1e-4) is None
     assert difference(listed(g), listed({**g, "quaternion": [-1.0, 0.0, 0.0, 0.0]}), 1e-4) is None
-    for found, what in (
+    for gaussians, what in (
         ([], "missing"),
         ([g, {**g, "anchor": 9}], "anchor 9, offset 1: there is none"),
         ([{**g, "mean": [1.0, 2.0, 3.001]}], "mean"),
@@ -315,7 +315,7 @@ def test_gaussians_that_differ() -> None:
         ([{**g, "mean": [-1.0, -2.0, -3.0]}], "mean"),
         ([{"anchor": 1}], "no list"),
     ):
-        assert what in str(difference(listed(g), listed(*found), 1e-4)), what
+        assert what in str(difference(listed(g), listed(*gaussians), 1e-4)), what
     assert difference(listed(g), "[]", 1e-4)
     assert difference(listed(g), "not JSON", 1e-4)
 

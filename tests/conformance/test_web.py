@@ -80,29 +80,29 @@ def test_chunks_before_a_fault_are_delivered(decoder: Decoder) -> None:
     for chunk in range(target.header.chunk_count):
         at = target.chunk_at(chunk) + 20
         damaged = target.data[:at] + bytes([target.data[at] ^ 1]) + target.data[at + 1 :]
-        said = decoder.ask(damaged, "stream", size=50)
-        assert (said["error"]["name"], said["error"]["offset"]) == ("chunk.crc", target.chunk_at(chunk))
-        assert said["chunks"] == whole[:chunk]
+        answer = decoder.ask(damaged, "stream", size=50)
+        assert (answer["error"]["name"], answer["error"]["offset"]) == ("chunk.crc", target.chunk_at(chunk))
+        assert answer["chunks"] == whole[:chunk]
 
 
 def test_a_whole_scene_at_once(decoder: Decoder) -> None:
     for name, scene in SCENES.items():
-        said = decoder.ask(FILES[name], "all")
-        assert said["scene"] == reconstruction.digest(scene)[0]
-        assert said["offsets"] == reconstruction.reconstruct(scene).offsets.astype("<f4").tobytes().hex()
-        assert said["arrays"] == ["count", "positions", "masks", "features", "scalings", "offsets"]
+        answer = decoder.ask(FILES[name], "all")
+        assert answer["scene"] == reconstruction.digest(scene)[0]
+        assert answer["offsets"] == reconstruction.reconstruct(scene).offsets.astype("<f4").tobytes().hex()
+        assert answer["arrays"] == ["count", "positions", "masks", "features", "scalings", "offsets"]
 
 
 def test_one_chunk_by_ranges(decoder: Decoder) -> None:
     for name, file in FILES.items():
         target = Target(file)
         for number in range(target.header.chunk_count):
-            said = decoder.ask(file, "chunk", number=number)
+            answer = decoder.ask(file, "chunk", number=number)
             expected = reconstruction.reconstruct(reader.decode_chunk(source.WholeFile(file), number))
-            assert said["features"] == expected.features.astype("<f4").tobytes().hex(), name
-            assert said["positions"] == expected.positions.astype("<f4").tobytes().hex(), name
+            assert answer["features"] == expected.features.astype("<f4").tobytes().hex(), name
+            assert answer["positions"] == expected.positions.astype("<f4").tobytes().hex(), name
             # Neither another chunk nor an ancillary section is read.
-            asked = said["asked"]
+            asked = answer["asked"]
             assert asked[0] == [0, 20]
             assert asked[-1][0] == target.chunk_at(number)
             critical = [s.start for s in target.header.sections if s.type.isupper() and s.type != b"DATA"]
@@ -129,16 +129,16 @@ def test_bounds_are_those_of_refcodec(decoder: Decoder) -> None:
     for file in FILES.values():
         header = read_header(source.WholeFile(file))
         needed = bounds.memory_needed(header, min(header.anchor_count, header.chunk_size))
-        said = decoder.ask(file, options={"maxMemory": needed - 1})
-        assert (said["bound"], said["needed"]) == ("memory", needed)
+        answer = decoder.ask(file, options={"maxMemory": needed - 1})
+        assert (answer["bound"], answer["needed"]) == ("memory", needed)
         assert "scene" in decoder.ask(file, options={"maxMemory": max(needed, len(file))})
         whole = bounds.memory_needed(header, min(header.anchor_count, header.chunk_size), header.anchor_count)
-        said = decoder.ask(file, "all", options={"maxMemory": whole - 1})
-        assert (said["bound"], said["needed"]) == ("memory", whole)
+        answer = decoder.ask(file, "all", options={"maxMemory": whole - 1})
+        assert (answer["bound"], answer["needed"]) == ("memory", whole)
         assert "scene" in decoder.ask(file, "all", options={"maxMemory": max(whole, len(file))})
         if header.anchor_count:
-            said = decoder.ask(file, options={"maxAnchors": header.anchor_count - 1})
-            assert (said["bound"], said["needed"]) == ("anchors", header.anchor_count)
+            answer = decoder.ask(file, options={"maxAnchors": header.anchor_count - 1})
+            assert (answer["bound"], answer["needed"]) == ("anchors", header.anchor_count)
 
 
 def test_bounds_count_gaussians(decoder: Decoder) -> None:
@@ -149,12 +149,12 @@ def test_bounds_count_gaussians(decoder: Decoder) -> None:
         decoding = bounds.memory_needed(header, min(count, header.chunk_size))
         # Three networks of floats, their width filled up to vectors of four, and positions, axes and sums of offsets.
         once = count * (3 * 4 * -(-width // 4) * 4 + 3 * 4 + 3 * 4 + 2 * 4) + kept * (3 * 4 + 1)
-        said = decoder.ask(FILES[name], "held", options={"maxMemory": decoding + 3 * once})
+        answer = decoder.ask(FILES[name], "held", options={"maxMemory": decoding + 3 * once})
         if not count:
-            assert said["added"] == 0
+            assert answer["added"] == 0
             continue
-        assert (said["bound"], said["needed"]) == ("memory", decoding + 4 * once)
-        assert (said["added"], said["chunks"]) == (3 * count, 3)
+        assert (answer["bound"], answer["needed"]) == ("memory", decoding + 4 * once)
+        assert (answer["added"], answer["chunks"]) == (3 * count, 3)
 
 
 # ----------------------------------------------------------------------------------------------------- the program ---
@@ -176,8 +176,8 @@ def test_the_program(tmp_path: Path) -> None:
         vectors = json.loads((VECTORS / "manifest.json").read_text())["vectors"]
         path = next(v["input"]["path"] for v in vectors if v["expectation"].get("code") == code)
         assert path.startswith(folder)
-        found, stderr = run("decode", VECTORS / path, output)
-        assert (found, json.loads(stderr)["code"]) == (status, code)
+        verdict, stderr = run("decode", VECTORS / path, output)
+        assert (verdict, json.loads(stderr)["code"]) == (status, code)
     for words in ((), ("decode",), ("encode", "a", "b"), ("decode", tmp_path / "none", output)):
         assert run(*words)[0] == statuses.USAGE
     assert run("decode", VECTORS / "tiny-example.c3gs", "/dev/full")[0] == statuses.USAGE
@@ -195,10 +195,10 @@ def test_the_types_are_those_of_the_module() -> None:
     """c3gs.d.ts declares what c3gs.js exports, and the fields that a scene and a chunk have."""
     declared = declared_by("c3gs.d.ts")
     code = "import(process.argv[1]).then((module) => console.log(JSON.stringify(Object.keys(module))))"
-    said = subprocess.run(
+    done = subprocess.run(
         [str(NODE), "-e", code, WEB / "c3gs.js"], stdout=subprocess.PIPE, check=True, text=True
     ).stdout
-    assert set(json.loads(said)) == declared
+    assert set(json.loads(done)) == declared
 
 
 def test_browsers_can_load_the_module() -> None:
@@ -210,12 +210,12 @@ def test_browsers_can_load_the_module() -> None:
         name = todo.pop()
         seen.add(name)
         text = (WEB / name).read_text(encoding="utf-8")
-        found = re.findall(r'^(?:import|export)\b[^;]*? from "([^"]+)";', text, re.MULTILINE)
+        imported = re.findall(r'^(?:import|export)\b[^;]*? from "([^"]+)";', text, re.MULTILINE)
         if name == "three.js":
-            found.remove("three")
+            imported.remove("three")
             assert set(re.findall(r"^export class (\w+)", text, re.MULTILINE)) == declared_by("three.d.ts")
-        assert all(path.startswith("./") for path in found), name
-        todo += [path[2:] for path in found if path[2:] not in seen]
+        assert all(path.startswith("./") for path in imported), name
+        todo += [path[2:] for path in imported if path[2:] not in seen]
     assert {"kernel.js", "container.js"} <= seen
     assert "cli.js" not in seen
 

@@ -75,13 +75,13 @@ class Case:
         done = subprocess.run([program], input=data + place, capture_output=True, check=False)
         assert done.returncode == 0, done.stderr.decode()
         (count,) = struct.unpack_from("<i", done.stdout)
-        at, found = 4, []
+        at, drawn = 4, []
         for kind, width in ARRAYS if count > 0 else []:
             array = np.frombuffer(done.stdout, kind, count * width, at).reshape(count, width)
-            found.append(array)
+            drawn.append(array)
             at += array.nbytes
         assert at == len(done.stdout)
-        return count, found
+        return count, drawn
 
 
 @settings(max_examples=25)

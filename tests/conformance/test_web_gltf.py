@@ -64,9 +64,9 @@ def parts(file: Path) -> tuple[dict[str, Any], bytes]:
 
 def write_changed(source: Path, target: Path, change: Callable[[dict[str, Any], dict[str, Any]], Any]) -> Path:
     """Writes a GLB file with changed JSON. change: gets all of it, and the primitive."""
-    found, buffer = parts(source)
-    change(found, found["meshes"][0]["primitives"][0])
-    text = json.dumps(found).encode()
+    json_part, buffer = parts(source)
+    change(json_part, json_part["meshes"][0]["primitives"][0])
+    text = json.dumps(json_part).encode()
     text += b" " * (-len(text) % 4)
     head = struct.pack("<4sIII4s", b"glTF", 2, 28 + len(text) + len(buffer), len(text), b"JSON")
     target.write_bytes(head + text + struct.pack("<I4s", len(buffer), b"BIN\0") + buffer)
@@ -75,10 +75,10 @@ def write_changed(source: Path, target: Path, change: Callable[[dict[str, Any], 
 
 def columns(file: Path) -> dict[str, np.ndarray]:
     """Returns the attributes of a GLB file with plain Gaussians, by the names of three.js."""
-    found, buffer = parts(file)
+    json_part, buffer = parts(file)
     named = {}
-    for name, number in found["meshes"][0]["primitives"][0]["attributes"].items():
-        view = found["bufferViews"][found["accessors"][number]["bufferView"]]
+    for name, number in json_part["meshes"][0]["primitives"][0]["attributes"].items():
+        view = json_part["bufferViews"][json_part["accessors"][number]["bufferView"]]
         own = buffer[view["byteOffset"] : view["byteOffset"] + view["byteLength"]]
         named[{"POSITION": "position", "COLOR_0": "color"}.get(name, name.lower())] = own
     return {name: np.frombuffer(own, np.float32) for name, own in named.items() if name != "color"}
@@ -154,18 +154,18 @@ def test_readers_without_the_extension_see_the_fallback(files: Path) -> None:
 def test_the_schema(files: Path, form: str) -> None:
     """The schema takes the files of export, and its example is in the text."""
     schema = json.loads((SPECIFICATION / "schema" / f"mesh.primitive.{COMPRESSION}.schema.json").read_text())
-    found, _ = parts(files / f"{form}.glb")
-    own = found["meshes"][0]["primitives"][0]["extensions"][EXTENSION]["extensions"][COMPRESSION]
+    json_part, _ = parts(files / f"{form}.glb")
+    own = json_part["meshes"][0]["primitives"][0]["extensions"][EXTENSION]["extensions"][COMPRESSION]
     validator = jsonschema.Draft202012Validator(schema, registry=Registry().with_resources(GLTF))
     validator.check_schema(schema)
     validator.validate(own)
     for wrong in ({}, {"bufferView": -1}, {"bufferView": "0"}, [0]):
         assert not validator.is_valid(wrong)
-    assert (COMPRESSION in found.get("extensionsRequired", [])) == (form == "c3gs")
+    assert (COMPRESSION in json_part.get("extensionsRequired", [])) == (form == "c3gs")
     (example,) = re.findall(r"```json\n(.*?)```", (SPECIFICATION / "README.md").read_text(), re.DOTALL)
     shown = json.loads(example)["meshes"][0]["primitives"][0]
     assert shown["extensions"][EXTENSION]["extensions"][COMPRESSION] == own
-    assert set(shown["attributes"]) <= set(found["meshes"][0]["primitives"][0]["attributes"])
+    assert set(shown["attributes"]) <= set(json_part["meshes"][0]["primitives"][0]["attributes"])
 
 
 @pytest.mark.skipif(NODE is None, reason=MISSING)
@@ -190,14 +190,14 @@ def test_the_plugin_for_three(files: Path, tmp_path: Path) -> None:
         [str(NODE), "gltf_web.mjs", *names, *changes], cwd=tmp_path, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr
-    said = json.loads(done.stdout)
-    assert "SPEC.md" in said["damaged.glb"]["error"]
+    answer = json.loads(done.stdout)
+    assert "SPEC.md" in answer["damaged.glb"]["error"]
     for name, (_, reason) in changes.items():
-        assert reason in said[name]["error"]
+        assert reason in answer[name]["error"]
     wanted = columns(files / "plain.glb")
     for name in names[:2]:
-        assert said[name]["kind"] == "Points"
-        texts = said[name]["attributes"]
+        assert answer[name]["kind"] == "Points"
+        texts = answer[name]["attributes"]
         assert set(texts) - {"color"} == set(wanted)
         for key, values in wanted.items():
             own = np.frombuffer(bytes.fromhex(texts[key]), np.float32)
@@ -220,10 +220,10 @@ def test_the_validator_of_khronos(files: Path, form: str) -> None:
         words, cwd=THREE.parent, env={"NODE_PATH": str(THREE)}, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr
-    found = {
+    issues = {
         (m["code"], m["pointer"].rpartition("/")[2].partition(":")[0]) for m in json.loads(done.stdout)["messages"]
     }
-    assert found == {
+    assert issues == {
         ("UNSUPPORTED_EXTENSION", "0"),
         ("UNSUPPORTED_EXTENSION", "1"),
         ("MESH_PRIMITIVE_INVALID_ATTRIBUTE", EXTENSION),

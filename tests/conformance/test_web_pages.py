@@ -96,15 +96,15 @@ def _pictures(name: str, packages: tuple[str, ...], data: bytes) -> list[np.ndar
         with Chromium(str(find()), 320, 240) as browser:
             browser.open(f"http://127.0.0.1:{server.server_address[1]}/{name}.html")
             browser.until("globalThis.picture !== undefined")
-            found = [_image(browser.run(f"picture({number})")) for number in range(CAMERAS)]
+            images = [_image(browser.run(f"picture({number})")) for number in range(CAMERAS)]
             assert browser.said == []
         server.shutdown()
-    return found
+    return images
 
 
-def _agreement(found: list[np.ndarray], right: list[np.ndarray]) -> list[float]:
+def _agreement(images: list[np.ndarray], right: list[np.ndarray]) -> list[float]:
     """Returns the PSNR of each picture, in dB."""
-    pairs = zip(found, right, strict=True)
+    pairs = zip(images, right, strict=True)
     return [10 * np.log10(255**2 / max(np.mean((a.astype(np.float64) - b) ** 2), 1e-9)) for a, b in pairs]
 
 
@@ -114,14 +114,14 @@ def test_the_viewer_draws_what_render_draws(path: tuple[bytes, list[np.ndarray]]
     with Chromium(str(find()), 320, 240) as browser:
         browser.open((tmp_path / "scene.html").as_uri())
         browser.run("c3gs.settle()")
-        found = [_image(browser.run(f"c3gs.picture(c3gs.cameras[{number}])")) for number in range(CAMERAS)]
+        images = [_image(browser.run(f"c3gs.picture(c3gs.cameras[{number}])")) for number in range(CAMERAS)]
         assert browser.said == []
-    assert min(_agreement(found, right)) > 45
+    assert min(_agreement(images, right)) > 45
 
 
 def test_spark_draws_what_render_draws(path: tuple[bytes, list[np.ndarray]]) -> None:
-    found = _pictures("spark", ("three", "@sparkjsdev/spark"), path[0])
-    assert min(_agreement(found, path[1])) > 45
+    images = _pictures("spark", ("three", "@sparkjsdev/spark"), path[0])
+    assert min(_agreement(images, path[1])) > 45
 
 
 def test_playcanvas_draws_the_scene(path: tuple[bytes, list[np.ndarray]]) -> None:

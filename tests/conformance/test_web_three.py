@@ -53,7 +53,7 @@ def installed(folder: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def said(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+def answer(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """What three_web.mjs says."""
     folder = tmp_path_factory.mktemp("three")
     installed(folder)
@@ -65,59 +65,59 @@ def said(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     words = [str(NODE), "three_web.mjs", "scene.c3gs", "damaged.c3gs"]
     done = subprocess.run(words, cwd=folder, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    found: dict[str, Any] = json.loads(done.stdout)
-    return found
+    answer: dict[str, Any] = json.loads(done.stdout)
+    return answer
 
 
-def test_it_loads_as_loaders_of_three_do(said: dict[str, Any]) -> None:
+def test_it_loads_as_loaders_of_three_do(answer: dict[str, Any]) -> None:
     scene = SCENE
-    assert said["anchors"] == said["called"] == scene.anchor_count
-    assert said["progress"] == sorted(said["progress"])
-    assert said["progress"][-1] > 0
+    assert answer["anchors"] == answer["called"] == scene.anchor_count
+    assert answer["progress"] == sorted(answer["progress"])
+    assert answer["progress"][-1] > 0
     positions = reconstruct(scene).positions
-    assert np.array_equal(np.array(said["bounds"], np.float32), [positions.min(axis=0), positions.max(axis=0)])
-    assert np.allclose(said["background"], np.array(scene.render.background) / 255)
+    assert np.array_equal(np.array(answer["bounds"], np.float32), [positions.min(axis=0), positions.max(axis=0)])
+    assert np.allclose(answer["background"], np.array(scene.render.background) / 255)
     up = np.zeros(4)
     up[scene.render.up_axis // 2] = -1 if scene.render.up_axis % 2 else 1
-    assert np.allclose(np.array(said["upright"]).reshape(4, 4).T @ up, [0, 1, 0, 0])
+    assert np.allclose(np.array(answer["upright"]).reshape(4, 4).T @ up, [0, 1, 0, 0])
 
 
-def test_errors_reach_the_page_and_the_manager(said: dict[str, Any]) -> None:
-    damaged, missing = said["failures"]["damaged"], said["failures"]["missing"]
+def test_errors_reach_the_page_and_the_manager(answer: dict[str, Any]) -> None:
+    damaged, missing = answer["failures"]["damaged"], answer["failures"]["missing"]
     assert (damaged["kind"], damaged["code"]) == ("C3gsError", 312)
     assert missing["kind"] == "Error"
     assert "status 404" in missing["message"]
-    assert said["bound"] == "BoundPassedError"
+    assert answer["bound"] == "BoundPassedError"
     names = ("scene", "damaged", "missing")
     failed = [f"failed {name}.c3gs" for name in names[1:]]
-    assert [event for event in said["events"] if event.startswith("failed")] == failed
-    assert [event for event in said["events"] if event.startswith("loaded")] == [f"loaded {n}.c3gs" for n in names]
+    assert [event for event in answer["events"] if event.startswith("failed")] == failed
+    assert [event for event in answer["events"] if event.startswith("loaded")] == [f"loaded {n}.c3gs" for n in names]
 
 
-def test_cameras_are_those_of_the_file(said: dict[str, Any]) -> None:
+def test_cameras_are_those_of_the_file(answer: dict[str, Any]) -> None:
     """Their matrices are those of cameraMatrix and projectionMatrix."""
-    for camera, stated in zip(said["cameras"], CAMERAS, strict=True):
+    for camera, stated in zip(answer["cameras"], CAMERAS, strict=True):
         assert (camera["name"], camera["width"], camera["height"]) == (stated.name, stated.width, stated.height)
         assert camera["matrix"] < 1e-9
         assert camera["projection"] < 1e-9
 
 
-def test_an_object_carries_its_scene(said: dict[str, Any]) -> None:
-    assert said["movedCount"] == len(said["view"]["opacities"]) > 0
-    assert said["moved"] < 1e-5
+def test_an_object_carries_its_scene(answer: dict[str, Any]) -> None:
+    assert answer["movedCount"] == len(answer["view"]["opacities"]) > 0
+    assert answer["moved"] < 1e-5
 
 
-def test_splats_are_the_gaussians_of_the_view(said: dict[str, Any]) -> None:
-    view = said["view"]
-    centres, scales, quaternions, opacities, colours = zip(*said["splats"], strict=True)
+def test_splats_are_the_gaussians_of_the_view(answer: dict[str, Any]) -> None:
+    view = answer["view"]
+    centres, scales, quaternions, opacities, colours = zip(*answer["splats"], strict=True)
     assert list(centres) == view["positions"]
     assert list(scales) == view["scales"]
     assert list(opacities) == view["opacities"]
     assert list(colours) == view["colours"]
     assert np.array_equal(np.array(quaternions)[:, [3, 0, 1, 2]], np.array(view["rotations"]))
     # What this camera does not see any more is not drawn.
-    assert len(said["faded"]) == max(len(said["splats"]) - said["fewer"], 0)
-    assert not any(said["faded"])
+    assert len(answer["faded"]) == max(len(answer["splats"]) - answer["fewer"], 0)
+    assert not any(answer["faded"])
 
 
 @pytest.mark.slow
@@ -134,10 +134,10 @@ def test_the_types_are_right(tmp_path: Path) -> None:
     assert (done.returncode, done.stdout) == (0, "")
 
 
-def test_spark_takes_them(said: dict[str, Any]) -> None:
-    if said.get("packed") is None:
+def test_spark_takes_them(answer: dict[str, Any]) -> None:
+    if answer.get("packed") is None:
         pytest.skip("@sparkjsdev/spark is in no folder of NODE_PATH")
-    centres, opacities = zip(*said["packed"], strict=True)
+    centres, opacities = zip(*answer["packed"], strict=True)
     # Its numbers have 11 bits, and 8 for the opacity.
-    assert np.allclose(centres, said["view"]["positions"], rtol=2**-10, atol=1e-6)
-    assert np.allclose(opacities, said["view"]["opacities"], atol=1 / 255)
+    assert np.allclose(centres, answer["view"]["positions"], rtol=2**-10, atol=1e-6)
+    assert np.allclose(opacities, answer["view"]["opacities"], atol=1 / 255)

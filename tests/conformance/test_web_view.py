@@ -58,8 +58,8 @@ def at_place(place: list[float]) -> Camera:
 def document(scene: Scene, place: list[float]) -> str:
     """What the reference in binary64 sees."""
     values, unit = reconstruct(scene), scene.render.distance_unit
-    found = gaussians(values, scene.masks, scene.networks, at_place(place), unit, np.float64)
-    return json.dumps(gaussians_document(found))
+    seen_by = gaussians(values, scene.masks, scene.networks, at_place(place), unit, np.float64)
+    return json.dumps(gaussians_document(seen_by))
 
 
 def seen(views: list[dict[str, Any]]) -> Gaussians:
@@ -95,13 +95,15 @@ def test_gaussians_are_those_of_the_reference(decoder: Decoder, name: str) -> No
     positions = reconstruct(scene).positions.astype(np.float64)
     within = positions[len(positions) // 2].tolist() if len(positions) else [0.0, 0.0, 0.0]
     for place in ([0.5, -0.25, 6.0], within, [12.0, -7.0, 9.0]):
-        said = decoder.ask(file, "views", place=place)
-        found = seen(said["all"])
-        assert name not in LARGER or len(found.mean) > 9
-        assert difference(document(scene, place), json.dumps(gaussians_document(found)), TOLERANCE) is None
+        answer = decoder.ask(file, "views", place=place)
+        drawn = seen(answer["all"])
+        assert name not in LARGER or len(drawn.mean) > 9
+        assert difference(document(scene, place), json.dumps(gaussians_document(drawn)), TOLERANCE) is None
         for way in ("few", "single", "out"):
-            if said[way]:
-                assert all(np.array_equal(a, b) for a, b in zip(*map(_columns, (found, seen(said[way]))), strict=True))
+            if answer[way]:
+                assert all(
+                    np.array_equal(a, b) for a, b in zip(*map(_columns, (drawn, seen(answer[way]))), strict=True)
+                )
 
 
 @pytest.mark.requirement("G14.6-1")
@@ -111,39 +113,39 @@ def test_plain_gaussians_are_those_of_the_reference(decoder: Decoder, degree: in
     data = static.of_degree(degree)
     scene = codec.parse(data).scene
     numbers = splat_of(scene, reconstruct(scene))
-    said = decoder.ask(data, "plain")
-    assert said["count"] == len(numbers) > 5
-    found = {
+    answer = decoder.ask(data, "plain")
+    assert answer["count"] == len(numbers) > 5
+    arrays = {
         name: np.frombuffer(bytes.fromhex(text), "<f4").reshape(len(numbers), -1)
-        for name, text in said.items()
+        for name, text in answer.items()
         if isinstance(text, str)
     }
-    assert np.array_equal(found["positions"], numbers[:, MEAN])
-    assert np.array_equal(found["harmonics"], numbers[:, HARMONICS])
+    assert np.array_equal(arrays["positions"], numbers[:, MEAN])
+    assert np.array_equal(arrays["harmonics"], numbers[:, HARMONICS])
     wide = numbers.astype(np.float64)
-    assert np.allclose(found["scales"], np.exp(wide[:, LENGTHS]), rtol=1e-6, atol=0)
+    assert np.allclose(arrays["scales"], np.exp(wide[:, LENGTHS]), rtol=1e-6, atol=0)
     unit = wide[:, QUATERNION] / np.linalg.norm(wide[:, QUATERNION], axis=1, keepdims=True)
-    assert np.allclose(found["rotations"], unit, atol=1e-6)
-    assert np.allclose(found["opacities"][:, 0], 1 / (1 + np.exp(-wide[:, LOGIT])), rtol=1e-6, atol=0)
+    assert np.allclose(arrays["rotations"], unit, atol=1e-6)
+    assert np.allclose(arrays["opacities"][:, 0], 1 / (1 + np.exp(-wide[:, LOGIT])), rtol=1e-6, atol=0)
     harmonics = numbers[:, HARMONICS].reshape(len(numbers), -1, 3)
     rest = harmonics[:, 1:].transpose(0, 2, 1).reshape(len(numbers), -1)
     for name, columns in (("f_dc", harmonics[:, 0]), ("f_rest", rest), ("rot", unit), ("scale", numbers[:, LENGTHS])):
-        own = [found.pop(f"{name}_{i}") for i in range(columns.shape[1])]
+        own = [arrays.pop(f"{name}_{i}") for i in range(columns.shape[1])]
         assert all(np.allclose(a[:, 0], b, rtol=1e-5, atol=1e-5) for a, b in zip(own, columns.T, strict=True))
-    assert set(found) == {"positions", "scales", "rotations", "opacities", "harmonics", "x", "y", "z", "opacity"}
+    assert set(arrays) == {"positions", "scales", "rotations", "opacities", "harmonics", "x", "y", "z", "opacity"}
 
 
-def _columns(found: Gaussians) -> list[Any]:
-    return list(vars(found).values())
+def _columns(splats: Gaussians) -> list[Any]:
+    return list(vars(splats).values())
 
 
 def test_slots_count_kept_offsets(decoder: Decoder) -> None:
     for name, scene in SCENES.items():
-        said = decoder.ask(FILES[name], "views", place=[1.0, 2.0, 3.0])
+        answer = decoder.ask(FILES[name], "views", place=[1.0, 2.0, 3.0])
         sums = [0, *np.cumsum(scene.masks.sum(axis=1)).tolist()]
-        assert said["slots"] == sums
+        assert answer["slots"] == sums
         positions = reconstruct(scene).positions
-        for number, (chunk, rows) in enumerate(zip(said["added"], scene.chunks, strict=True)):
+        for number, (chunk, rows) in enumerate(zip(answer["added"], scene.chunks, strict=True)):
             start, end = rows.start, rows.stop
             own = positions[start:end]
             assert {key: chunk[key] for key in ("number", "start", "end", "slot", "kept")} == {
@@ -155,7 +157,7 @@ def test_slots_count_kept_offsets(decoder: Decoder) -> None:
             }
             assert np.array_equal(np.array([chunk["low"], chunk["high"]]), [own.min(axis=0), own.max(axis=0)])
         # All were seen from there last.
-        assert not any(said["changes"])
+        assert not any(answer["changes"])
 
 
 @pytest.mark.parametrize("text", ["", "[]", "null", '{"rotation": [[1, 0, 0]], "translation": [0, 0, 0]}'])
@@ -176,13 +178,13 @@ def test_other_render_models_are_decoded_but_not_drawn(decoder: Decoder, tmp_pat
         "render_model is 7, but this version draws only 0 and 1; use a later version (SPEC.md 6.5)",
     )
     assert decoder.verdict(data) == (digest(UNDRAWN)[0], -1)
-    said = decoder.ask(data, "drawing")
-    assert said["error"] == ["RenderModelError", message]
-    assert {name: said["header"][name] for name in asdict(UNDRAWN.render)} == {
+    answer = decoder.ask(data, "drawing")
+    assert answer["error"] == ["RenderModelError", message]
+    assert {name: answer["header"][name] for name in asdict(UNDRAWN.render)} == {
         **asdict(UNDRAWN.render),
         "background": list(UNDRAWN.render.background),
     }
-    assert (said["header"]["view_inputs"], said["header"]["colour_outputs"]) == (8, 27)
+    assert (answer["header"]["view_inputs"], answer["header"]["colour_outputs"]) == (8, 27)
     file, camera = tmp_path / "scene.c3gs", tmp_path / "camera.json"
     file.write_bytes(data)
     camera.write_text('{"rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "translation": [0, 0, 0]}')
@@ -198,8 +200,8 @@ def test_wrong_calls_are_refused() -> None:
     done = subprocess.run(
         [str(NODE), program, VECTORS / "valid" / "cameras.c3gs"], capture_output=True, text=True, check=True
     )
-    said = json.loads(done.stdout)
-    others = {name: kind for name, kind in said.items() if kind not in ("TypeError", "RangeError")}
+    answer = json.loads(done.stdout)
+    others = {name: kind for name, kind in answer.items() if kind not in ("TypeError", "RangeError")}
     assert others == {"right": "right", "not static": "RenderModelError"}
 
 
@@ -210,9 +212,9 @@ def test_the_examples_of_the_manual_run(tmp_path: Path) -> None:
     program = Path(__file__).with_name("readme_web.mjs")
     done = subprocess.run([str(NODE), program, path], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    said = json.loads(done.stdout)
-    assert said["ran"] == 4
-    assert said["drawn"] > 0
+    answer = json.loads(done.stdout)
+    assert answer["ran"] == 4
+    assert answer["drawn"] > 0
 
 
 # ------------------------------------------------------------------------------------------ cameras and metadata ---
@@ -220,30 +222,30 @@ def test_the_examples_of_the_manual_run(tmp_path: Path) -> None:
 
 def listed(sections: tuple[Ancillary, ...] | list[Ancillary]) -> dict[str, Any]:
     """The cameras and the metadata of sections, as JSON has them."""
-    found = [asdict(camera) for camera in cameras.cameras(sections)]
-    whole: dict[str, Any] = json.loads(json.dumps({"cameras": found, "metadata": metadata.metadata(sections)}))
+    stated = [asdict(camera) for camera in cameras.cameras(sections)]
+    whole: dict[str, Any] = json.loads(json.dumps({"cameras": stated, "metadata": metadata.metadata(sections)}))
     return whole
 
 
 def assert_ancillary(decoder: Decoder, data: bytes) -> dict[str, Any]:
-    said, expected = decoder.ask(data, "ancillary"), listed(codec.parse_ancillary(data))
-    assert said["before"] == {"cameras": [], "metadata": {}}
-    for found in (said["read"], said["decoded"]):
+    answer, expected = decoder.ask(data, "ancillary"), listed(codec.parse_ancillary(data))
+    assert answer["before"] == {"cameras": [], "metadata": {}}
+    for way in (answer["read"], answer["decoded"]):
         # JavaScript writes large numbers as integers, with other digits.
-        for camera in found["cameras"]:
+        for camera in way["cameras"]:
             camera.update({key: list(map(float, value)) for key, value in camera.items() if isinstance(value, list)})
-        assert found == expected
+        assert way == expected
     return expected
 
 
 def test_cameras_and_metadata_of_the_vectors(decoder: Decoder) -> None:
-    found = [
+    kept = [
         assert_ancillary(decoder, MANIFEST.path(vector).read_bytes())
         for vector in VALID
         if any(section.type in (cameras.CAMERAS, metadata.METADATA) for section in sections_of(vector))
     ]
-    assert any(one["cameras"] for one in found)
-    assert any(one["metadata"] for one in found)
+    assert any(one["cameras"] for one in kept)
+    assert any(one["metadata"] for one in kept)
 
 
 def sections_of(vector: Any) -> list[Ancillary]:
@@ -264,7 +266,7 @@ GOOD = {
 @st.composite
 def sections(draw: st.DrawFn) -> tuple[Ancillary, ...]:
     """Sections of metadata and of cameras, most of them with faults, at any places."""
-    found = []
+    made = []
     for _ in range(draw(st.integers(1, 4))):
         kind = draw(st.sampled_from(list(GOOD)))
         content = bytearray(draw(st.sampled_from([GOOD[kind], bytes(4)])))
@@ -273,8 +275,8 @@ def sections(draw: st.DrawFn) -> tuple[Ancillary, ...]:
         end = draw(st.integers(0, len(content)) | st.just(len(content)))
         rest = draw(st.sampled_from([b"", b"\0", b"more"]))
         mode = draw(st.sampled_from([0, 0, 0, 1]))
-        found.append(Ancillary(kind, mode, bytes(content[:end]) + rest, draw(st.integers(0, 5))))
-    return tuple(sorted(found, key=lambda section: section.after))
+        made.append(Ancillary(kind, mode, bytes(content[:end]) + rest, draw(st.integers(0, 5))))
+    return tuple(sorted(made, key=lambda section: section.after))
 
 
 @settings(max_examples=60)
@@ -317,9 +319,9 @@ def test_places_and_matrices_of_cameras(decoder: Decoder, data: st.DataObject) -
     rotation = data.draw(st.tuples(numbers, numbers, numbers, numbers).filter(any))
     stated = NamedCamera("c", 640, 480, (500.0, 350.0), (300.0, 250.0), rotation, data.draw(st.tuples(*[numbers] * 3)))
     camera = default_camera(stated)
-    said = decoder.ask(b"", "camera", camera=asdict(stated), near=0.5, far=100.0)
-    assert np.allclose(said["centre"], camera.centre, atol=1e-5)
-    to_world, projection = (np.array(said[name]).reshape(4, 4).T for name in ("matrix", "projection"))
+    answer = decoder.ask(b"", "camera", camera=asdict(stated), near=0.5, far=100.0)
+    assert np.allclose(answer["centre"], camera.centre, atol=1e-5)
+    to_world, projection = (np.array(answer[name]).reshape(4, 4).T for name in ("matrix", "projection"))
     own = np.array([0.25, -0.5, 3.0])
     point = camera.rotation.T @ (own - camera.translation)
     clip = projection @ np.linalg.inv(to_world) @ np.append(point, 1)
@@ -353,10 +355,10 @@ def test_what_is_up_turns_to_y(decoder: Decoder, axis: int) -> None:
 
 def test_changes_are_ways_over_distances(decoder: Decoder) -> None:
     """A chunk that was never seen comes first. Near chunks come before far ones."""
-    said = decoder.ask(FILES["raw"], "changes", first=[0.0, 0.0, 50.0], second=[1.0, 0.0, 50.0])
-    *seen_before, last = said["changes"]
+    answer = decoder.ask(FILES["raw"], "changes", first=[0.0, 0.0, 50.0], second=[1.0, 0.0, 50.0])
+    *seen_before, last = answer["changes"]
     assert last is None
-    for change, chunk in zip(seen_before, said["added"], strict=False):
+    for change, chunk in zip(seen_before, answer["added"], strict=False):
         low, high = np.array(chunk["low"]), np.array(chunk["high"])
         away = np.linalg.norm(np.maximum(np.maximum(low - [1, 0, 50], [1, 0, 50] - high), 0))
         assert change == pytest.approx(1 / max(away, np.linalg.norm(high - low) / 4))

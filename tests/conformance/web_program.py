@@ -46,16 +46,16 @@ class Decoder:
     def ask(self, data: bytes, way: str = "bytes", **more: Any) -> dict[str, Any]:
         """Returns what ask_web.mjs says of a file. A fault is none of its answers."""
         self._file.write_bytes(data)
-        said: dict[str, Any] = self._ask({"file": str(self._file), "way": way, **more})
-        assert "fault" not in said, said["fault"]
-        return said
+        answer: dict[str, Any] = self._ask({"file": str(self._file), "way": way, **more})
+        assert "fault" not in answer, answer["fault"]
+        return answer
 
     def verdict(self, data: bytes, way: str = "bytes", **more: Any) -> tuple[str, int]:
         """As compare.first_verdict."""
-        said = self.ask(data, way, **more)
-        if "error" not in said:
-            return said["scene"], -1
-        error = said["error"]
+        answer = self.ask(data, way, **more)
+        if "error" not in answer:
+            return answer["scene"], -1
+        error = answer["error"]
         kind = REGISTRY[error["name"]]
         assert (error["code"], error["class"], error["clause"]) == (kind.code, kind.klass, kind.clause)
         return error["name"], error["offset"]

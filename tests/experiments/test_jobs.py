@@ -105,12 +105,12 @@ def test_a_command_ends_with_its_step(tmp_path: Path, monkeypatch: pytest.Monkey
 @pytest.mark.usefixtures("fake")
 def test_what_is_made_again(tmp_path: Path) -> None:
     """A step whose command, inputs, other inputs or output changed, and no other."""
-    job, said = chain(tmp_path), list[str]()
+    job, lines = chain(tmp_path), list[str]()
 
     def begun(job: Job) -> list[str]:
-        said.clear()
-        assert run_job(job, lambda: 0, lambda name, line: said.append(line)).status == DONE
-        return [line.partition(":")[0] for line in said if "done in" in line]
+        lines.clear()
+        assert run_job(job, lambda: 0, lambda name, line: lines.append(line)).status == DONE
+        return [line.partition(":")[0] for line in lines if "done in" in line]
 
     assert begun(job) == ["train", "encode", "eval"]
     assert begun(job) == []
