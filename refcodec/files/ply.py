@@ -160,7 +160,8 @@ def _header(file: BinaryIO, size: int) -> tuple[str, list[_Element]]:
             if words[0] == "list" and elements:
                 # Programs for meshes write faces for point clouds, too, and no row of them.
                 if elements[-1].rows:
-                    raise PlyError(f"it is a mesh: its element {elements[-1].name} has lists; only points are allowed")
+                    name = elements[-1].name
+                    raise PlyError(f"it has a property of lists in its element {name}, as meshes have; none is allowed")
                 continue
             if not elements or len(words) != 2 or words[0] not in _TYPES:
                 raise PlyError(f"a property must have a type and a name, after an element: {' '.join(words)}")

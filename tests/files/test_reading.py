@@ -221,7 +221,10 @@ def header(*lines: str) -> bytes:
         (header("element vertex " + "9" * 400, "property float x"), "count"),
         (header("element vertex 4294967296", "property float x"), "count"),
         (header("element vertex 1000000000", "property float x") + b"abcd", "fewer bytes"),
-        (header("element vertex 1", "property float x", "element face 4", "property list uchar int x"), "a mesh"),
+        (
+            header("element vertex 1", "property float x", "element face 4", "property list uchar int x"),
+            "lists in its element face, as meshes",
+        ),
         (header("element vertex"), "count"),
         (header("element vert\xe4x 1"), "not ASCII"),
     ],
