@@ -175,7 +175,7 @@ def _convert_fast(source: Path, output: Path, words: ConvertWords) -> Report:
     from ..rendering.camera import STATED, nearest_axis
     from .shown import note_compiling
 
-    check_outputs([source], (output, C3GS))
+    check_outputs([source, words.get("cameras")], (output, C3GS))
     if output.suffix.lower() != _C3GS:
         raise UsageError(f"{output} must end in {_C3GS}: --fast writes a file, not a scene folder")
     notes: list[str] = []
@@ -228,7 +228,7 @@ def _train(source: Path, output: Path, words: ConvertWords) -> Report:
     settings, up = chosen_settings(words), words.get("up")
     resume, stated = words.get("resume", False), words.get("pictures")
     state, kept = state_path(output), None if stated is None else Path(stated)
-    check_outputs([source], (state, STATE), scene=output, uncompressed=True)
+    check_outputs([source, words.get("cameras")], (state, STATE), scene=output, uncompressed=True)
     check_state(output, state, resume)
     # A resumed training uses the pictures that the interrupted one left.
     drawn = not (resume and kept and kept.is_dir())

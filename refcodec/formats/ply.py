@@ -118,7 +118,7 @@ def _numbered(stem: str, count: int) -> list[str]:
 # Files of other kinds by a property that they have, or with - lack: what they are, and what helps.
 _KINDS = (
     ("f_offset_0", "it is a model of Scaffold-GS, not a splat", "give its folder to convert"),
-    ("-rot_0", "it is a point cloud, not a splat", "train from photographs, or fit it"),
+    ("-rot_0", "it is a point cloud, not a splat", "`refcodec fit` takes one"),
     ("-scale_2", "its Gaussians are flat, as those of 2DGS, which have no third axis", "export 3D Gaussians"),
 )
 _COLOURS, _FILTER = ["red", "green", "blue"], "filter_3D"

@@ -106,8 +106,8 @@ def read_located(file: Path, offset: F64 | None, note: Callable[[str], None] = l
     with errors_in(file), remarks() as texts:
         suffix = suffix_of(file)
         splats = _checked(FORMATS[suffix].read(mapped(file)) if suffix else sog.read_folder(file))
-        mean = splats.mean.astype(np.float64)
         if offset is None:
+            mean = splats.mean.astype(np.float64)
             middle = np.median(mean, axis=0)
             size = np.quantile(np.abs(mean - middle).max(axis=1) + np.exp(splats.scale.max(axis=1)), SHARE)
             offset = np.rint(middle) if np.abs(middle).max() > FAR * size else np.zeros(3)
@@ -115,7 +115,8 @@ def read_located(file: Path, offset: F64 | None, note: Callable[[str], None] = l
                 remark(f"far from the world's origin for its size: {offset.tolist()} is subtracted from positions")
     for text in texts:
         note(f"{file}: {text}")
-    return replace(splats, mean=(mean - offset if offset.any() else splats.mean).astype(np.float32, copy=False)), offset
+    moved = splats.mean.astype(np.float64) - offset if offset.any() else splats.mean
+    return replace(splats, mean=moved.astype(np.float32, copy=False)), offset
 
 
 def _checked(splats: Splats) -> Splats:

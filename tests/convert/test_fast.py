@@ -113,6 +113,9 @@ def test_convert_fast(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
         out, err = capsys.readouterr()
         assert "by cameras of the splats" in out
         assert "guessed" not in err
+    # An output never replaces an input.
+    assert main([*again[:3], str(tmp_path / "a.c3gs"), "--fast", "--cameras", str(tmp_path / "a.c3gs")]) == 64
+    assert "a.c3gs" in capsys.readouterr().err
     assert main([*words, "--lambda", "0.01"]) == 64
     assert "--lambda applies only to a training" in capsys.readouterr().err
     assert main([*words[:-1], "--psnr", "40"]) == 64
