@@ -17,14 +17,14 @@ from refcodec.bitstream.batches import no_progress
 from refcodec.bitstream.codec import parse
 from refcodec.bitstream.dimensions import STATIC
 from refcodec.evaluate.quality import measures
-from refcodec.export.fit import agreement, fit
+from refcodec.export.fit import agreement, fit, viewed
 from refcodec.export.views import sized
 from refcodec.files.text import printable
 from refcodec.formats.common import BITS, BITS_MOST, Options
 from refcodec.formats.table import FORMATS, write_splats
 from refcodec.photographs.photographs import read_photographs
 from refcodec.rendering.gaussians import static_splats
-from refcodec.rendering.rasterise import draw, settings_of
+from refcodec.rendering.rasterise import draw
 from refcodec.rendering.view import View
 from refcodec.statuses import USAGE
 
@@ -36,9 +36,10 @@ ITERATIONS = 10
 MEASURED = (".ply", ".spz", ".sog", ".glb")
 HEAD = ["scene", "file", "degree", "Gaussians", "bytes", "times .c3gs", "PSNR to the scene, dB", "PSNR, dB", "SSIM"]
 NOTE = (
-    "One thread. PSNR to the scene: of float renderings of the splat and of the scene, from the cameras of held-out",
-    "photographs. PSNR and SSIM: of eight-bit renderings and these photographs, by scikit-image. SPZ and SOG are",
-    "decoded before rendering. bits: of the harmonics, by `export --spz-bits`.",
+    "One thread. Splats are drawn with the filter of viewers, 0.3 square pixels, scenes with their own. PSNR to the",
+    "scene: of float renderings of both, from the cameras of held-out photographs. PSNR and SSIM: of eight-bit",
+    "renderings and these photographs, by scikit-image. SPZ and SOG are decoded before rendering. bits: of the",
+    "harmonics, by `export --spz-bits`.",
 )
 
 
@@ -53,7 +54,7 @@ def exported(name: str, file: Path, folder: Path, size: int, degree: int) -> lis
     cameras, tests = ([sized(p.camera) for p in part] for part in (photographs.train, photographs.test))
     static = scene.render.render_model == STATIC
     splats = static_splats(scene) if static else fit(view, cameras, degree, ITERATIONS, no_progress).splats
-    settings = settings_of(view.info)
+    settings = viewed(view.info)
 
     def row(label: str, own: str, gaussians: int, length: int, near: str, shown: list[dict[str, float]]) -> list[str]:
         figures = [f"{fmean(one['psnr'] for one in shown):.3f}", f"{fmean(one['ssim'] for one in shown):.4f}"]

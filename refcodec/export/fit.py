@@ -12,6 +12,8 @@ and harmonics for its colour. They are fitted in three steps:
 3. The images are linear in the coefficients of the harmonics. Thus all coefficients together are improved by
    least squares on the images, with conjugate gradients. This corrects in colour the error of a single opacity and
    covariance for all views.
+
+The Gaussians are drawn with the filter of viewers, which need not be that of the scene.
 """
 
 from __future__ import annotations
@@ -26,14 +28,16 @@ from scipy.spatial.transform import Rotation
 
 from ..bitstream.batches import Progress
 from ..bitstream.cameras import rotation_matrix
+from ..bitstream.header import RenderInfo
 from ..bitstream.reconstruction import Reconstruction
 from ..formats.harmonics import harmonics
 from ..formats.packing import OPACITY_LEAST, logits, opacities
 from ..formats.splats import Splats
 from ..rendering.camera import Camera
 from ..rendering.gaussians import Gaussians, gaussians
-from ..rendering.rasterise import draw, rasterise, rasterise_backward, settings_of
+from ..rendering.rasterise import Settings, draw, rasterise, rasterise_backward, settings_of
 from ..rendering.view import View
+from . import VIEWERS
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -72,12 +76,17 @@ def fit(view: View, cameras: Sequence[Camera], degree: int, iterations: int, pro
     return Fitted(splats, int(view.masks.sum()))
 
 
+def viewed(info: RenderInfo) -> Settings:
+    """Returns the render settings of a viewer that shows the splats of a scene."""
+    return replace(settings_of(info), low_pass=VIEWERS)
+
+
 def agreement(view: View, splats: Splats, cameras: Sequence[Camera], progress: Progress) -> float:
-    """Returns the mean over cameras of the PSNR in dB of the drawn Gaussians to the drawn scene.
+    """Returns the mean over cameras of the PSNR in dB of Gaussians, as viewers draw them, to the drawn scene.
 
     It is infinite if all images are the same. Raises ValueError as rasterise.
     """
-    settings, decibels = settings_of(view.info), []
+    settings, decibels = viewed(view.info), []
     for number, camera in enumerate(cameras):
         progress("measure", number, len(cameras))
         right, image = view.draw(camera), draw(splats, camera, settings).image
@@ -191,7 +200,7 @@ def _least_squares(
 
     The coefficients are refined by conjugate gradient steps on the normal equations of the images.
     """
-    settings, degree = settings_of(view.info), splats.degree
+    settings, degree = viewed(view.info), splats.degree
     geometry = splats.mean, splats.quaternion, np.exp(splats.scale), opacities(splats)
     black = replace(settings, background=(0.0, 0.0, 0.0))
     solution = splats.coefficients.astype(np.float64)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from statistics import fmean
 
 import numpy as np
 import pytest
@@ -24,8 +26,10 @@ from refcodec.bitstream.dimensions import RENDERING  # noqa: E402
 from refcodec.export.fit import agreement, fit  # noqa: E402
 from refcodec.export.views import FEW, SIDE, views_of  # noqa: E402
 from refcodec.formats.packing import opacities  # noqa: E402
+from refcodec.formats.splats import Splats  # noqa: E402
 from refcodec.rendering.camera import Camera, looking, named_camera  # noqa: E402
 from refcodec.rendering.gaussians import gaussians  # noqa: E402
+from refcodec.rendering.rasterise import draw, settings_of  # noqa: E402
 from refcodec.rendering.view import View, own_camera  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -102,6 +106,23 @@ def test_the_regression_finds_a_colour_that_turns() -> None:
     flat, linear = (agreement(view, fit(view, views, degree, 0, quiet).splats, views, quiet) for degree in (0, 1))
     assert flat < 40
     assert linear > 47
+
+
+@pytest.mark.parametrize("low_pass", [0.0, 0.1, 1.0])
+def test_the_filter_is_that_of_viewers(low_pass: float) -> None:
+    """Whatever the filter of a scene: the fit and its PSNR are for a viewer with 0.3 square pixels."""
+    view = unmoved()
+    view.info = replace(view.info, low_pass=low_pass)
+    views = around(view, 4)
+    before, after = (fit(view, views, 0, iterations, quiet).splats for iterations in (0, 4))
+
+    def seen(splats: Splats) -> float:
+        viewer = replace(settings_of(view.info), low_pass=0.3)
+        images = ((draw(splats, camera, viewer).image, view.draw(camera)) for camera in views)
+        return fmean(-10 * math.log10(float(((a.clip(0, 1) - b.clip(0, 1)) ** 2).mean())) for a, b in images)
+
+    assert agreement(view, after, views, quiet) == pytest.approx(seen(after), abs=0.01)
+    assert seen(after) > seen(before) + 0.2
 
 
 @pytest.mark.slow
