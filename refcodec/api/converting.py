@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from ..rendering.camera import Camera
 
 _VIEWS, _C3GS = 200, ".c3gs"
+_GUESSED = "refcodec: where people will look from was guessed; --cameras states it"
 # Words that apply to splat files only, and those of them that apply to a training only.
 _OF_SPLATS = ("views", "cameras", "offset", "pictures", "steps", "lambda_r", "size", "psnr", "fast")
 _OF_TRAINING = ("pictures", "lambda_r", "seed", "resume", "background", "holdout", "anchors", "voxel", "set")
@@ -66,8 +67,8 @@ def convert(source: kinds.AnyPath, output: kinds.SceneFolder, **words: Unpack[Co
     SOURCE is a model folder of Scaffold-GS, HAC, HAC++ or CAT-3DGS, or one of its folders iteration_N.
     The scene looks like the model. It is not compressed yet: encode compresses it.
     Or SOURCE is a splat file: .ply (of 3DGS, or compressed by PlayCanvas), .spz, .sog or .glb, or a SOG folder
-    with meta.json. It is rendered from the cameras in its cameras.json, or else from cameras around it, whose
-    up axis is that of --up, of a .glb file, or -y. A scene is trained from these pictures.
+    with meta.json. It is rendered from the cameras in its cameras.json, or else from cameras around and in
+    it, whose up axis is that of --up, of a .glb file, or -y. A scene is trained from these pictures.
     Options that train also has work as there.
     With --fast, the Gaussians of a splat file themselves are coded, as a static scene, in about a minute. The
     output is a C3GS file then. Pictures only measure which numbers matter.
@@ -184,7 +185,7 @@ def _convert_fast(source: Path, output: Path, words: ConvertWords) -> Report:
     splats, offset = read_located(source, kinds.place(words.get("offset")), notes.append)
     cameras = moved(cameras, offset)
     note_compiling()
-    chosen = chosen_cameras(cameras, splats, up, size, words.get("views") or fast.VIEWS, True)
+    chosen = chosen_cameras(cameras, splats, up, size, words.get("views") or fast.VIEWS)
     render = RenderInfo(up_axis=nearest_axis(up), near_plane=near_plane(splats))
     psnr, steps = words.get("psnr") or fast.PSNR, words.get("steps") or fast.STEPS
     with progress_bar(words) as show, refusing(f"{source} cannot be converted"):
@@ -201,7 +202,7 @@ def _convert_fast(source: Path, output: Path, words: ConvertWords) -> Report:
     if made.faint or made.dropped:
         lines.append(f"left out: {made.faint:,} Gaussians too faint for any picture, {made.dropped:,} of little effect")
     if not cameras:
-        notes.append("refcodec: where people will look from was guessed; --cameras states it")
+        notes.append(_GUESSED)
     if reached < psnr - 1:
         notes.append(f"refcodec: {psnr:g} dB were not reached: this is the best quality that was found")
     if reached > psnr + 1:
@@ -242,6 +243,7 @@ def _train(source: Path, output: Path, words: ConvertWords) -> Report:
     with contextlib.ExitStack() as beside, refusing(f"{source} cannot be used for training"):
         folder = kept or Path()
         if drawn:
+            notes += [] if cameras else [_GUESSED]
             folder = beside.enter_context(folder_beside((kept or output).absolute().parent)) / "pictures"
             with errors_of(kept or output), progress_bar(words) as show:
                 folder.mkdir()

@@ -54,11 +54,11 @@ def up_of(source: Path, up: str | None) -> F64:
 
 
 def chosen_cameras(
-    cameras: list[Camera], splats: Splats, up: F64, size: str, count: int, among: bool = False
+    cameras: list[Camera], splats: Splats, up: F64, size: str, count: int
 ) -> dict[str, list[Camera]]:
-    """Returns cameras by purpose: a selection of the given ones, or else cameras around the splats.
+    """Returns cameras by purpose: a selection of the given ones, or else cameras around and among the splats.
 
-    size: the sides of pictures. among: whether there are as many generated ones among the splats. Raises UsageError.
+    size: the sides of pictures. Raises UsageError.
     """
     try:
         sides = parse_size(size)
@@ -67,8 +67,7 @@ def chosen_cameras(
     side = max(sides) if isinstance(sides, tuple) else sides
     if cameras:
         return views.given(cameras, count, side)
-    tests = max(count // views.TEST_EVERY, views.JUDGES if among else 1)
-    return (views.generated if among else views.orbit)(splats, up, side or views.SIDE, count, tests)
+    return views.generated(splats, up, side or views.SIDE, count, max(count // views.TEST_EVERY, views.JUDGES))
 
 
 def draw_pictures(

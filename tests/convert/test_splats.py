@@ -92,11 +92,11 @@ def test_a_file_of_splats_becomes_a_file(place: Path, capsys: Captured) -> None:
     assert main([*words, "--lambda", "0.01"]) == 0
     report = json.loads(Path("scene", "training.json").read_text())
     assert report["settings"]["rate"]["lambda_r"] == 0.01
-    assert len(report["quantised"]) == 2
+    assert len(report["quantised"]) == 8
     assert main(["encode", "scene", "-o", "a.c3gs"]) == 0
     capsys.readouterr()
     assert main(["eval", "a.c3gs", "pictures", "--json"]) == 0
-    assert len(json.loads(capsys.readouterr().out)["images"]) == 2
+    assert len(json.loads(capsys.readouterr().out)["images"]) == 8
     assert read_folder(Path("scene")).render.up_axis == 4
     # Nothing is left beside what was asked for.
     assert sorted(path.name for path in place.iterdir()) == ["a.c3gs", "a.sog", "pictures", "scene"]
