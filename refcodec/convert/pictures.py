@@ -53,9 +53,7 @@ def up_of(source: Path, up: str | None) -> F64:
     return views.AXES[up] if up else splats_up(source)
 
 
-def chosen_cameras(
-    cameras: list[Camera], splats: Splats, up: F64, size: str, count: int
-) -> dict[str, list[Camera]]:
+def chosen_cameras(cameras: list[Camera], splats: Splats, up: F64, size: str, count: int) -> dict[str, list[Camera]]:
     """Returns cameras by purpose: a selection of the given ones, or else cameras around and among the splats.
 
     size: the sides of pictures. Raises UsageError.

@@ -56,6 +56,8 @@ _BINS = 128
 _STEPS = 10
 # A palette is built in two steps: first clusters of about this many Gaussians are formed, then each is divided.
 _CLUSTER = 4096
+# The most clusters of one k-means over many rows, and the most rows that it learns from.
+_BRANCHES, _SAMPLE = 16, 1 << 15
 
 # Returns a file by its name and its maximum size in bytes.
 ReadPart = Callable[[str, int], bytes]
@@ -278,25 +280,40 @@ def _palette(rows: F64) -> tuple[I64, F64]:
     size = min(1024 << int(np.log2(count / 1024)), PALETTE_MOST)
     labels = np.zeros(count, np.int64)
     parts: list[F64] = []
-    number = -(-count // _CLUSTER)
-    groups = _clusters(rows, number)[0]
-    for group in range(number):
-        members = np.flatnonzero(groups == group)
-        if len(members):
-            # One entry for each group, and the others in proportion to the rows.
-            own, centres = _clusters(rows[members], 1 + len(members) * (size - number) // count)
-            labels[members] = sum(map(len, parts)) + own
-            parts.append(centres)
+    groups = _groups(rows, np.arange(count))
+    for members in groups:
+        # One entry for each group, and the others in proportion to the rows.
+        own, centres = _clusters(rows[members], 1 + len(members) * (size - len(groups)) // count)
+        labels[members] = sum(map(len, parts)) + own
+        parts.append(centres)
     return labels, np.concatenate(parts)
 
 
+def _groups(rows: F64, members: I64) -> list[I64]:
+    """Returns the members in groups of near rows, of at most _CLUSTER each.
+
+    Time and memory are nearly linear: no k-means has more than _BRANCHES clusters, and rows that hardly divide, such as
+    equal ones, are sorted and cut into runs.
+    """
+    number = -(-len(members) // _CLUSTER)
+    if number <= 1:
+        return [members]
+    labels, _ = _clusters(rows[members], min(number, _BRANCHES))
+    parts = [members[labels == label] for label in np.unique(labels)]
+    if max(map(len, parts)) > 0.9 * len(members):
+        return np.array_split(members[np.lexsort(rows[members].T)], number)
+    return [group for part in parts for group in _groups(rows, part)]
+
+
 def _clusters(rows: F64, number: int) -> tuple[I64, F64]:
-    """Returns the cluster number of each row, and the centres, by k-means from evenly chosen rows."""
+    """Returns the cluster number of each row, and the centres, by k-means of evenly chosen rows."""
     from scipy.cluster.vq import kmeans2, vq
 
+    chosen = rows[np.linspace(0, len(rows) - 1, min(len(rows), _SAMPLE)).astype(np.int64)]
     start = rows[np.linspace(0, len(rows) - 1, number).astype(np.int64)]
     with warnings.catch_warnings():
         # A cluster without rows keeps its centre.
         warnings.simplefilter("ignore", UserWarning)
-        centres, _ = kmeans2(rows, start, iter=_STEPS, minit="matrix")
-    return vq(rows, centres)[0].astype(np.int64), centres
+        centres, _ = kmeans2(chosen, start, iter=_STEPS, minit="matrix")
+    blocks = np.array_split(rows, -(-len(rows) // _SAMPLE))
+    return np.concatenate([vq(block, centres)[0].astype(np.int64) for block in blocks]), centres

@@ -24,7 +24,7 @@ from plyfile import PlyData
 from benchmarks.peers.convert import as_read, convert, tool
 from refcodec.bitstream.cameras import rotation_matrix
 from refcodec.files.ply import names_of, parse_ply, ply_bytes
-from refcodec.formats import packing
+from refcodec.formats import packing, sog
 from refcodec.formats.common import BITS_LEAST, BITS_MOST, Options
 from refcodec.formats.harmonics import REST, ZERO, rest_harmonics
 from refcodec.formats.splats import Splats, rows_of
@@ -268,6 +268,23 @@ def test_earlier_versions_of_spz(version: int, tmp_path: Path) -> None:
     # Where w is left out, its error is that of the others over it.
     turns = [rotation_matrix(each.unit_quaternions()) for each in (restored, splats)]
     assert np.abs(turns[0] - turns[1]).mean() < 0.02
+
+
+@pytest.mark.parametrize("kind", ["equal", "outliers", "few", "random"])
+def test_no_group_of_a_palette_is_large(kind: str) -> None:
+    """k-means takes memory for each pair of a row and a cluster: equal or strange rows must not come together."""
+    pytest.importorskip("scipy")
+    number = np.arange(20_000.0)[:, None]
+    rows = {
+        "equal": np.zeros((20_000, 3)),
+        "outliers": np.exp(number * (1, 0.5, 0.25) / 100),
+        "few": number * (number < 20_000 // 100) * np.ones(3),
+        "random": np.random.default_rng(0).normal(size=(20_000, 3)),
+    }[kind]
+    groups = sog._groups(rows, np.arange(20_000))
+    assert sorted(np.concatenate(groups)) == list(range(20_000))
+    assert max(map(len, groups)) <= sog._CLUSTER
+    assert len(groups) < 100
 
 
 def test_a_folder_of_sog(tmp_path: Path) -> None:
