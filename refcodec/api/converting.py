@@ -66,9 +66,10 @@ def convert(source: kinds.AnyPath, output: kinds.SceneFolder, **words: Unpack[Co
 
     SOURCE is a model folder of Scaffold-GS, HAC, HAC++ or CAT-3DGS, or one of its folders iteration_N.
     The scene looks like the model. It is not compressed yet: encode compresses it.
-    Or SOURCE is a splat file: .ply (of 3DGS, or compressed by PlayCanvas), .spz, .sog or .glb, or a SOG folder
-    with meta.json. It is rendered from the cameras in its cameras.json, or else from cameras around and in
-    it, whose up axis is that of --up, of a .glb file, or -y. A scene is trained from these pictures.
+    Or SOURCE is a splat file: .ply (of 3DGS, or compressed by PlayCanvas), .spz, .sog, .splat, .glb or .gltf, or a
+    folder of a 3DGS model, or of SOG with meta.json. It is rendered from the cameras in its cameras.json, or else from
+    cameras around and in it, whose up axis is that of --up, of a glTF file, or -y. A scene is trained from these
+    pictures.
     Options that train also has work as there.
     With --fast, the Gaussians of a splat file themselves are coded, as a static scene, in about a minute. The
     output is a C3GS file then. Pictures only measure which numbers matter.
@@ -87,17 +88,17 @@ def convert(source: kinds.AnyPath, output: kinds.SceneFolder, **words: Unpack[Co
         convert scene.ply -o scene.c3gs --fast --psnr 40
         convert scene.spz -o scene --up=+y --size 800 --lambda 0.002 --steps 8000
     """
+    from ..formats.others import described
     from ..formats.sog import META
-    from ..formats.table import FORMATS, is_splat_file, model_splats
+    from ..formats.table import is_splat_file, model_splats, no_splat
 
     path = Path(source)
     splats = path / META if (path / META).is_file() else model_splats(path) or path
-    if path.is_dir() and splats == path:
+    if path.is_dir() and splats == path and not described(path):
         _refuse(words, _OF_SPLATS, f"splat files: omit it for {path}")
         return _convert_model(path, Path(output), words)
     if not is_splat_file(splats):
-        problem = f"is neither a model folder nor a splat file ({', '.join(FORMATS)})"
-        raise UsageError(f"{path} {problem if os.path.lexists(path) else 'does not exist'}")
+        raise no_splat(path) if os.path.lexists(path) else UsageError(f"{path} does not exist")
     _refuse(words, ("appearance",), f"model folders: omit it for {path}")
     if words.get("fast"):
         _refuse(words, _OF_TRAINING, "a training: omit it, or omit --fast")

@@ -44,6 +44,10 @@ class PlyError(ValueError):
     """A file that is not PLY within the bounds. The text states the problem, without the file's name."""
 
 
+class MeshError(PlyError):
+    """A file with lists, as meshes have them."""
+
+
 class _Element(NamedTuple):
     """name: such as vertex. rows: their number. fields: name and type of each property, without byte order."""
 
@@ -72,6 +76,11 @@ def property_names(path: Path) -> list[str]:
     with path.open("rb") as file:
         lines = [line.split() for line in _header_lines(file)]
     return [words[-1] for words in lines if len(words) > 1 and words[0] == "property"]
+
+
+def header_text(data: mmap.mmap | bytes) -> str:
+    """Returns the lines of the header of the bytes of a file. Raises PlyError."""
+    return "\n".join(_header_lines(io.BytesIO(data[: HEADER_MAX + LINE_MAX])))
 
 
 def names_of(table: NDArray[Any]) -> tuple[str, ...]:
@@ -161,7 +170,9 @@ def _header(file: BinaryIO, size: int) -> tuple[str, list[_Element]]:
                 # Programs for meshes write faces for point clouds, too, and no row of them.
                 if elements[-1].rows:
                     name = elements[-1].name
-                    raise PlyError(f"it has a property of lists in its element {name}, as meshes have; none is allowed")
+                    raise MeshError(
+                        f"it has a property of lists in its element {name}, as meshes have; none is allowed"
+                    )
                 continue
             if not elements or len(words) != 2 or words[0] not in _TYPES:
                 raise PlyError(f"a property must have a type and a name, after an element: {' '.join(words)}")

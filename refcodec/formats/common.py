@@ -15,9 +15,11 @@ from numpy.typing import NDArray
 
 from ..bitstream.header import RenderInfo
 from ..files.documents import DocumentError, FieldError, checked, parse_json
-from ..files.ply import PlyError
+from ..files.ply import MeshError, PlyError
+from ..files.present import NotAFileError, is_there, mapped
 from ..files.text import printable
 from ..folder.layout import SceneFolderError
+from .harmonics import DEGREE_MAX
 
 # The bytes of a file.
 Data = mmap.mmap | bytes
@@ -25,6 +27,13 @@ Data = mmap.mmap | bytes
 # Stands for no value.
 _REQUIRED = object()
 ADVICE = "export the splats again"
+TRANSFORM = "`splat-transform {file} scene.ply` (npm i -g @playcanvas/splat-transform) makes a PLY file of it"
+_OF_MESHES = "a mesh is no splat, but `refcodec fit` takes its vertices, without the faces"
+# Of splats that are meant for such a filter.
+COMPENSATED = (
+    "trained for antialiasing that compensates opacities, as Mip-Splatting does; here it is drawn without: thin parts "
+    "look thicker and more opaque, mostly from afar"
+)
 # Maximum per file. A 3DGS scene has a few million.
 GAUSSIANS_MAX = 1 << 24
 # A file of more Gaussians must have at least a byte for each. For trained scenes, all formats have ten and more. An
@@ -84,9 +93,32 @@ def errors_in(file: Path, advice: str = ADVICE) -> Iterator[None]:
     try:
         yield
     except PlyError as error:
+        advice = _OF_MESHES if isinstance(error, MeshError) else advice
         raise SceneFolderError(file, f"it is not a readable PLY file ({printable(str(error), 120)})", advice) from None
     except ContentError as error:
         raise SceneFolderError(file, str(error), error.advice or advice) from None
+
+
+def cut_degree(stated: int) -> int:
+    """Returns the degree of harmonics that is kept of a stated one, and reports a cut."""
+    if stated > DEGREE_MAX:
+        remark(f"its harmonics of degree {stated} are cut to degree {DEGREE_MAX}")
+    return min(stated, DEGREE_MAX)
+
+
+def beside(file: Path, name: str, most: int) -> bytes:
+    """Returns a file beside another one, of at most `most` bytes. Raises ContentError, and OSError."""
+    shown = printable(name, 60)
+    try:
+        # A plain name cannot lead to another folder.
+        if not name or Path(name).name != name or not is_there(file.parent / name):
+            raise ContentError(f"there is no file {shown} beside it")
+    except NotAFileError as error:
+        raise ContentError(f"{shown} beside it is not a file: {error}") from None
+    data = mapped(file.parent / name)
+    if len(data) > most:
+        raise ContentError(f"{shown} beside it has more than {most} bytes")
+    return data[:]
 
 
 def check_count(count: int, size: int) -> None:

@@ -66,6 +66,26 @@ def rest_harmonics(direction: Iterable[Any], degree: int) -> list[Any]:
     return values
 
 
+def turned_harmonics(rest: NDArray[np.float32], matrix: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Returns coefficients of degree 1 and more, [n, K, 3], of the same colours after an orthogonal map of the world.
+
+    matrix: the map, [3, 3]. Mirrors are allowed. Exact for maps that only negate axes.
+    """
+    # More directions than harmonics, in no special position.
+    direction = np.random.default_rng(0).normal(size=(64, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    degree = degree_of(rest.shape[1])
+    after, before = (np.array(rest_harmonics(seen.T, degree)).T for seen in (direction, direction @ matrix))
+    change = np.linalg.lstsq(after, before)[0] if degree else np.zeros((0, 0))
+    return np.matmul(snapped(change).astype(np.float32), rest)
+
+
+def snapped(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Returns numbers of which those that are nearly integers are exactly so."""
+    whole = np.rint(values)
+    return np.where(np.abs(values - whole) < 1e-9, whole, values)
+
+
 # SPEC 14.6
 def harmonics(mean: NDArray[np.float32], centre: NDArray[np.float64], degree: int) -> NDArray[np.float64]:
     """SPEC 14.6, HARMONICS: returns all harmonics for the directions from a place to Gaussians, [n, (degree + 1)^2].

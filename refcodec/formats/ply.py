@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from ..files import ply
 from ..files.outputs import Kind
-from .common import ContentError, Data, Options, check_count, remark
+from .common import COMPENSATED, ContentError, Data, Options, check_count, cut_degree, remark
 from .harmonics import REST, ZERO
+from .packing import BYTE_OPACITY_LEAST, logits
 from .splats import Splats
 
 # A comment in the files of refcodec.
@@ -33,6 +34,10 @@ def tables_of(data: Data) -> Tables:
     check_count(max(map(len, tables.values()), default=0), len(data))
     if "vertex" not in tables:
         raise ContentError("it has no element vertex")
+    # Brush and splat-transform state the first, Postshot the second. The last one counts.
+    modes = re.findall(r"(?i)^comment +(?:splatrendermode: *(\w+)|antialiased +(\w+))", ply.header_text(data), re.M)
+    if modes and (modes[-1][0].lower() == "mip" or modes[-1][1] == "1"):
+        remark(COMPENSATED)
     return tables
 
 
@@ -53,9 +58,9 @@ def rest_columns(table: NDArray[Any], kinds: str = "fiu") -> NDArray[np.float32]
     Raises ContentError for a number that fits no degree.
     """
     count = stated = sum(name.startswith("f_rest_") for name in ply.names_of(table))
-    if stated > 3 * max(REST) and stated % 3 == 0 and math.isqrt(stated // 3 + 1) ** 2 == stated // 3 + 1:
-        remark(f"its harmonics of degree {math.isqrt(stated // 3 + 1) - 1} are cut to degree {len(REST) - 1}")
-        count = 3 * max(REST)
+    side = math.isqrt(stated // 3 + 1)
+    if stated == 3 * (side**2 - 1):
+        count = 3 * REST[cut_degree(side - 1)]
     if count % 3 or count // 3 not in REST:
         allowed = " or ".join(str(3 * rest) for rest in REST)
         raise ContentError(f"it has {count} coefficients f_rest, but must have {allowed}")
@@ -76,17 +81,32 @@ def read(tables: Tables) -> Splats:
             raise ContentError(problem, advice)
     base = _PROPERTIES["base"]
     parts: dict[str, NDArray[Any]] = {name: columns(vertex, own) for name, own in _PROPERTIES.items() if own != base}
-    if vertex["x"].dtype.itemsize > 4:
-        # Coordinates of a map need all bits of theirs until an offset is subtracted.
-        with np.errstate(invalid="ignore"):
+    with np.errstate(all="ignore"):
+        if vertex["x"].dtype.itemsize > 4:
+            # Coordinates of a map need all bits of theirs until an offset is subtracted.
             parts["mean"] = np.stack([vertex[name].astype(np.float64) for name in _PROPERTIES["mean"]], axis=1)
+        if vertex["rot_0"].dtype.itemsize > 4:
+            # The length of a quaternion has no meaning, but may be beyond float32.
+            wide = np.stack([vertex[name] for name in _PROPERTIES["quaternion"]], axis=1)
+            most = np.abs(wide).max(axis=1, keepdims=True)
+            parts["quaternion"] = (wide / np.where(most > 0, most, 1)).astype(np.float32)
     if base[0] not in names and {*_COLOURS} <= {*names}:
-        remark("its colours are bytes: they are the same from all directions")
-        parts["base"] = ((columns(vertex, _COLOURS, "u") / 255 - 0.5) / ZERO).astype(np.float32)
+        remark("its colours are integers: they are the same from all directions")
+        parts["base"] = ((columns(vertex, _COLOURS, "u") / _most(vertex["red"]) - 0.5) / ZERO).astype(np.float32)
     else:
         parts["base"] = columns(vertex, base)
-    splats = Splats(rest=rest_columns(vertex), opacity=columns(vertex, ["opacity"])[:, 0], **parts)
+    if "opacity" not in names and "alpha" in names:
+        share = columns(vertex, ["alpha"], "u")[:, 0] / _most(vertex["alpha"])
+        parts["opacity"] = logits(share, BYTE_OPACITY_LEAST).astype(np.float32)
+    else:
+        parts["opacity"] = columns(vertex, ["opacity"])[:, 0]
+    splats = Splats(rest=rest_columns(vertex), **parts)
     return _filtered(splats, columns(vertex, [_FILTER])) if _FILTER in names else splats
+
+
+def _most(values: NDArray[Any]) -> int:
+    """Returns the largest integer of a type."""
+    return int(np.iinfo(values.dtype).max)
 
 
 def _filtered(splats: Splats, width: NDArray[np.float32]) -> Splats:

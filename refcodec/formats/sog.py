@@ -25,11 +25,11 @@ from numpy.typing import NDArray
 
 from .. import __version__
 from ..files.outputs import Kind
-from ..files.present import BytesFile, NotAFileError, is_there, mapped
+from ..files.present import BytesFile
 from ..files.text import printable
 from . import packing
 from .archives import opened_zip, read_entry
-from .common import ContentError, Data, Document, Options, check_count
+from .common import COMPENSATED, TRANSFORM, ContentError, Data, Document, Options, beside, check_count, remark
 from .harmonics import REST
 from .packing import I64, U8, nearest_bytes
 from .splats import F64, Splats, narrowed, rows_of
@@ -82,30 +82,19 @@ def read(data: Data) -> Splats:
 
 def read_folder(file: Path) -> Splats:
     """Returns the Gaussians of a meta.json with the images beside it. Raises ContentError, and OSError."""
-    return _read(partial(_beside, file), sum(image.stat().st_size for image in file.parent.glob("*.webp")))
-
-
-def _beside(file: Path, name: str, most: int) -> bytes:
-    """Returns a file beside another one, of at most `most` bytes. Raises ContentError, and OSError."""
-    shown = printable(name, 60)
-    try:
-        # A plain name cannot lead to another folder.
-        if not name or Path(name).name != name or not is_there(file.parent / name):
-            raise ContentError(f"there is no file {shown} beside it")
-    except NotAFileError as error:
-        raise ContentError(f"{shown} beside it is not a file: {error}") from None
-    data = mapped(file.parent / name)
-    if len(data) > most:
-        raise ContentError(f"{shown} beside it has more than {most} bytes")
-    return data[:]
+    return _read(partial(beside, file), sum(image.stat().st_size for image in file.parent.glob("*.webp")))
 
 
 def _read(part: ReadPart, size: int) -> Splats:
     """Returns the Gaussians. size: of the files, bytes. Raises ContentError."""
     meta = Document(META, part(META, META_MAX), META_MAX)
-    version = meta.get("version", Any, None)
+    # Version 1 does not state its number.
+    version = meta.get("version", Any, 1)
     if version != 2:
-        raise ContentError(f"it is SOG version {printable(repr(version), 20)}, but only version 2 is supported")
+        advice = TRANSFORM.format(file=META)
+        raise ContentError(f"it is SOG version {printable(repr(version), 20)}, but only version 2 is supported", advice)
+    if meta.get("model", Any, None) == "antialiased":
+        remark(COMPENSATED)
     count = meta.get("count", _Count)
     check_count(count, size)
 

@@ -17,10 +17,10 @@ import numpy as np
 
 from ..files.outputs import Kind
 from . import packing
-from .common import BITS_MOST, ContentError, Data, Options, check_count
+from .common import BITS_MOST, COMPENSATED, ContentError, Data, Options, check_count, cut_degree, remark
 from .harmonics import REST
 from .packing import U8, nearest_bytes
-from .splats import Splats, narrowed
+from .splats import Splats, moved, narrowed
 
 GZIP, MAGIC = b"\x1f\x8b", b"NGSP"
 WRITTEN, ZSTANDARD = 3, 4
@@ -29,6 +29,19 @@ WRITTEN, ZSTANDARD = 3, 4
 HEADER = struct.Struct("<4sIIBBBB")
 # Version 4: the offset of the stream table after the header. An entry has the compressed and the uncompressed size.
 TABLE, STREAM = struct.Struct("<I"), struct.Struct("<QQ")
+# The end of the offset and of 12 reserved bytes, where records of extensions begin: the kind, and the length.
+TABLE_END, _RECORD, EXTENSIONS_MAX = 32, struct.Struct("<II"), 1 << 16
+_ANTIALIASED, _EXTENDED, _DEGREE_MOST = 1, 2, 4
+# Adobe's extensions: limits for cameras, and the axes of the file by the number of one of these conventions.
+_ORBIT, _DECLARED = 0xADBE0002, 0xADBE0003
+_CONVENTIONS = [
+    *(x + y + z for z in "BF" for y in "DU" for x in "LR"),
+    *(x + y + z for y in "FB" for z in "DU" for x in "LR"),
+]
+# Niantic's library (commit 21715c3b) turns these by half a turn more than their names say.
+_AMBIGUOUS = ("LFD", "RFD", "LBU", "RBU")
+# Left, right, up, down, back and front in PLY files.
+_DIRECTIONS = dict(zip("RDFLUB", [*np.eye(3), *-np.eye(3)], strict=True))
 # The gzip time marks the file as written by refcodec. It is unused otherwise, and constant for reproducible bytes.
 _STAMP = b"C3GS"
 KIND = Kind("an SPZ file that refcodec wrote", re.compile(rb"\x1f\x8b\x08\x00" + _STAMP))
@@ -72,22 +85,61 @@ def read(data: Data) -> Splats:
     first = _gunzipped(data, HEADER.size) if packed else data[: HEADER.size]
     if len(first) < HEADER.size or first[:4] != MAGIC:
         raise ContentError("it is not an SPZ file")
-    _, version, count, degree, fraction, _, streams = HEADER.unpack(first)
+    _, version, count, stated, fraction, flags, streams = HEADER.unpack(first)
     if not (1 <= version < ZSTANDARD if packed else version == ZSTANDARD):
         raise ContentError(f"it is SPZ version {version}, but only versions 1 to 4 are supported")
-    if degree >= len(REST) or fraction > 23:
+    if stated > _DEGREE_MOST or fraction > 23:
         raise ContentError(
-            f"it states harmonics of degree {degree} and {fraction} fractional bits; 3 and 23 are the most"
+            f"it states harmonics of degree {stated} and {fraction} fractional bits; {_DEGREE_MOST} and 23 are the most"
         )
     check_count(count, len(data))
-    widths = _Parts.widths(version, REST[degree])
+    widths = _Parts.widths(version, (stated + 1) ** 2 - 1)
     sizes = [count * width for width in widths]
-    body = _gunzipped(data, HEADER.size + sum(sizes))[HEADER.size :] if packed else _unpacked(data, streams, sizes)
+    most = HEADER.size + sum(sizes) + (EXTENSIONS_MAX if flags & _EXTENDED else 0)
+    body = _gunzipped(data, most)[HEADER.size :] if packed else _unpacked(data, streams, sizes)
     if len(body) < sum(sizes):
         raise ContentError(f"it has fewer bytes than its {count} Gaussians need")
     parts = np.split(np.frombuffer(body, np.uint8, sum(sizes)), np.cumsum(sizes)[:-1])
-    shaped = (part.reshape(count, width) for part, width in zip(parts, widths, strict=True))
-    return _splats(version, fraction, _Parts(*shaped))
+    shaped = [part.reshape(count, width) for part, width in zip(parts, widths, strict=True)]
+    shaped[-1] = shaped[-1][:, : 3 * REST[cut_degree(stated)]]
+    splats = _splats(version, fraction, _Parts(*shaped))
+    if flags & _ANTIALIASED:
+        remark(COMPENSATED)
+    if unknown := flags & ~(_ANTIALIASED | _EXTENDED):
+        remark(f"its flags {unknown:#04x} are unknown: they are ignored")
+    if not flags & _EXTENDED:
+        return splats
+    # The records are behind the header in version 4, and at the end before.
+    return _extended(
+        splats,
+        body[sum(sizes) :] if packed else data[TABLE_END : TABLE.unpack_from(data, HEADER.size)[0]][:EXTENSIONS_MAX],
+    )
+
+
+def _extended(splats: Splats, records: bytes) -> Splats:
+    """Returns Gaussians with what the records of extensions say about them. Raises ContentError."""
+    place, unknown = 0, set[str]()
+    while place + _RECORD.size <= len(records):
+        kind, length = _RECORD.unpack_from(records, place)
+        own = records[place + _RECORD.size : place + _RECORD.size + length]
+        place += _RECORD.size + length
+        if len(own) < length:
+            raise ContentError(f"its extension {kind:#010x} is truncated")
+        if kind == _DECLARED:
+            number = int.from_bytes(own, "little") if length == 4 else 0
+            if not 1 <= number <= len(_CONVENTIONS):
+                raise ContentError(f"it declares axes by {own[:8].hex()}, which is none of Niantic's 16 conventions")
+            name = _CONVENTIONS[number - 1]
+            if name in _AMBIGUOUS:
+                raise ContentError(f"its axes are {name}, which programs understand differently", "export it as RUB")
+            # The axes of a file are the columns.
+            turn = np.stack([_DIRECTIONS[axis] for axis in name], axis=1)
+            splats = moved(splats, turn * AXES, np.zeros(3))
+        elif kind != _ORBIT:
+            unknown.add(f"{kind:#010x}")
+    if unknown:
+        remark(f"its extensions {', '.join(sorted(unknown)[:9])} are unknown: they are ignored")
+    return splats
 
 
 def _gunzipped(data: Data, most: int) -> bytes:

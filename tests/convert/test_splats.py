@@ -177,7 +177,7 @@ def test_the_cameras_of_a_model(place: Path, capsys: Captured) -> None:
         (("b.ply",), "the file does not exist"),
         (("a.glb",), "not a GLB"),
         (("a.glb", "--views", "6"), "not a GLB"),
-        (("a.splat", "--views", "6"), "neither a model folder nor a splat file (.ply, .spz,"),
+        (("a.splat", "--views", "6"), "a .splat file has 32 for each Gaussian"),
         (("none", "--views", "6"), "none does not exist"),
     ],
 )

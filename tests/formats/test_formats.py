@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import gzip
+import json
 import math
 import re
 import struct
+import zipfile
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -26,8 +28,9 @@ from refcodec.bitstream.cameras import rotation_matrix
 from refcodec.files.ply import names_of, parse_ply, ply_bytes
 from refcodec.formats import packing, sog
 from refcodec.formats.common import BITS_LEAST, BITS_MOST, Options
+from refcodec.formats.glb import read_up
 from refcodec.formats.harmonics import REST, ZERO, rest_harmonics
-from refcodec.formats.splats import Splats, rows_of
+from refcodec.formats.splats import Splats, moved, rows_of
 from refcodec.formats.table import (
     FORMATS,
     model_splats,
@@ -110,8 +113,7 @@ def assert_comes_back(suffix: str, splats: Splats, options: Options) -> None:
         assert np.array_equal(getattr(restored, name).view("u4"), getattr(wanted, name).view("u4")), name
     assert write_splats(splats, suffix, options) == data
     assert FORMATS[suffix].kind.begins.match(data[:4096])
-    read_up = FORMATS[suffix].read_up
-    assert read_up is None or np.allclose(read_up(data), options.up, atol=1e-12)
+    assert suffix != ".glb" or np.allclose(read_up(data), options.up, atol=1e-12)
 
 
 @st.composite
@@ -288,8 +290,6 @@ def test_no_group_of_a_palette_is_large(kind: str) -> None:
 
 
 def test_a_folder_of_sog(tmp_path: Path) -> None:
-    import zipfile  # noqa: PLC0415
-
     file = FOREIGN / "playbot-splat-transform.sog"
     zipfile.ZipFile(file).extractall(tmp_path)
     whole, parts = read_splats(file), read_splats(tmp_path / "meta.json")
@@ -350,10 +350,145 @@ def test_splat_transform_reads_it(suffix: str, degree: int, tmp_path: Path) -> N
     assert_near(restored, wanted, dict.fromkeys(vars(restored), 4e-6) | {"opacity": 2e-5, "quaternion": 2e-5})
 
 
-def ply_with(splats: Splats, without: str = "-", **more: NDArray[Any]) -> bytes:
-    """A PLY file of Gaussians without the properties of a stem, and with others."""
+# --- what files state besides Gaussians, and where they are -----------------------------------------------------------
+
+
+@st.composite
+def maps(draw: st.DrawFn, offset: bool = True) -> NDArray[np.float64]:
+    """A turn or a mirror, a scale and an offset, float64 [4, 4]."""
+    quaternion = draw(arrays(np.float64, 4, elements=st.integers(-3, 3)).filter(np.any))
+    turn = rotation_matrix(quaternion / np.linalg.norm(quaternion)) * draw(st.sampled_from([1, -1, 0.5, -3]))
+    shift = draw(arrays(np.float64, 3, elements=st.integers(-9, 9))) * offset
+    return np.block([[turn, shift[:, None]], [np.zeros((1, 3)), np.ones((1, 1))]])
+
+
+def seen(splats: Splats, direction: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+    """What a change of the world changes: means, covariances, and colours from a direction of length 1, [3]."""
+    turn = rotation_matrix(splats.unit_quaternions()) * np.exp(splats.scale.astype(np.float64))[:, None]
+    basis = np.array([ZERO, *rest_harmonics(direction, splats.degree)])
+    return [splats.mean, turn @ turn.transpose(0, 2, 1), np.einsum("k,nkc->nc", basis, splats.coefficients)]
+
+
+@given(maps(), st.integers(0, 3))
+def test_the_world_moves(world: NDArray[np.float64], degree: int) -> None:
+    splats, direction = made(9, degree), np.array([0.6, -0.48, 0.64])
+    linear, offset = world[:3, :3], world[:3, 3]
+    size = np.cbrt(abs(np.linalg.det(linear)))
+    mean, covariance, colour = seen(splats, direction)
+    restored = seen(moved(splats, linear, offset), linear @ direction / size)
+    for after, wanted in zip(restored, (mean @ linear.T + offset, linear @ covariance @ linear.T, colour), strict=True):
+        np.testing.assert_allclose(after, wanted, rtol=1e-5, atol=1e-5)
+
+
+@pytest.mark.parametrize("name", ["LDB", "RUB", "RDF", "LUF", "RUF", "LFU", "RFU", "LBD", "RBD"])
+def test_axes_that_spz_files_declare(name: str, tmp_path: Path) -> None:
+    """Axes point left or right, up or down, and back or front. The library of Niantic gives the same numbers."""
+    pytest.importorskip("zstandard")
+    names = "LDB RDB LUB RUB LDF RDF LUF RUF LFD RFD LFU RFU LBD RBD LBU RBU".split()  # noqa: SIM905
+    record = struct.pack("<II", 0x12345678, 0) + struct.pack("<III", 0xADBE0003, 4, 1 + names.index(name))
+    # In PLY files, x points right, y down and z front.
+    axis = np.array(["RDFLUB".index(letter) for letter in name])
+    turn = (axis % 3 == np.arange(3)[:, None]) * np.where(axis < 3, 1, -1)
+    file, notes = FOREIGN / "playbot-splat-transform.spz", list[str]()
+    data = bytearray(file.read_bytes())
+    data[14], data[16] = data[14] | 3, data[16] + len(record)
+    (tmp_path / "a.spz").write_bytes(data[:32] + record + data[32:])
+    restored, _ = read_located(tmp_path / "a.spz", None, notes.append)
+    wanted = moved(read_splats(file), turn @ np.diag([1.0, -1, -1]), np.zeros(3))
+    assert_near(restored, wanted, dict.fromkeys(vars(wanted), 0))
+    words = ["trained for antialiasing", "extensions 0x12345678 are unknown"]
+    assert [word in note for word, note in zip(words, notes, strict=True)] == [True, True]
+
+
+def glb_with(data: bytes, **values: Any) -> bytes:
+    """A GLB file with other values in its JSON."""
+    length = struct.unpack_from("<I", data, 12)[0]
+    text = json.dumps(json.loads(data[20 : 20 + length]) | values).encode()
+    text += b" " * (-len(text) % 4)
+    head = struct.pack("<4sII", b"glTF", 2, len(data) - length + len(text))
+    return head + struct.pack("<I4s", len(text), b"JSON") + text + data[20 + length :]
+
+
+@given(st.lists(maps(), min_size=2, max_size=2), maps())
+def test_nodes_of_gltf(own: list[NDArray[np.float64]], above: NDArray[np.float64]) -> None:
+    """Each node with the mesh shows it, moved by its matrix and by those above. Up is +y of the whole."""
+    splats = made(5, 3)
+    nodes = [{"mesh": 0, "matrix": matrix.T.ravel().tolist()} for matrix in own]
+    nodes += [{"children": [0, 1], "matrix": above.T.ravel().tolist()}, {"mesh": 0}]
+    data = glb_with(write_splats(splats, ".glb"), nodes=nodes, scenes=[{"nodes": [2]}])
+    restored, up, direction = FORMATS[".glb"].read(data), read_up(data), np.array([0.6, -0.48, 0.64])
+    wanted = [moved(splats, (above @ matrix)[:3, :3], (above @ matrix)[:3, 3]) for matrix in own]
+    # The result is the scene, turned so that the first mesh keeps its axes.
+    first = (above @ own[0])[:3, :3]
+    turn = first / np.cbrt(np.linalg.det(first))
+    np.testing.assert_allclose(turn @ up, [0, 1, 0], atol=1e-9)
+    after = seen(moved(restored, turn, np.zeros(3)), direction)
+    for number, part in enumerate(zip(*(seen(each, direction) for each in wanted), strict=True)):
+        np.testing.assert_allclose(after[number], np.concatenate(part), rtol=1e-4, atol=1e-4)
+
+
+def test_lengths_of_earlier_drafts_of_gltf(tmp_path: Path) -> None:
+    """They are logarithms, and may be integers that are not normalised."""
+    splats = replace(made(5, 0), scale=np.tile(np.array([-3, -2, 1], np.float32), (5, 1)))
+    data = write_splats(splats, ".glb")
+    lengths = np.exp(splats.scale.astype(float)).astype("f4").tobytes()
+    accessors = json.loads(data[20 : 20 + struct.unpack_from("<I", data, 12)[0]])["accessors"]
+    accessors[3]["componentType"] = 5120
+    whole = glb_with(data, accessors=accessors).replace(lengths, splats.scale.astype("i1").tobytes() + bytes(45))
+    for each in (data.replace(lengths, splats.scale.tobytes()), whole):
+        (tmp_path / "a.glb").write_bytes(each)
+        notes: list[str] = []
+        assert read_located(tmp_path / "a.glb", None, notes.append)[0].scale.tolist() == splats.scale.tolist()
+        assert "read as logarithms" in notes[0]
+
+
+def test_gltf_in_two_files(tmp_path: Path) -> None:
+    data = write_splats(made(5, 1), ".glb")
+    length = struct.unpack_from("<I", data, 12)[0]
+    root = json.loads(data[20 : 20 + length])
+    root["buffers"][0]["uri"] = "num%20bers.bin"
+    (tmp_path / "num bers.bin").write_bytes(data[28 + length :])
+    (tmp_path / "a.gltf").write_text(json.dumps(root))
+    assert_near(read_splats(tmp_path / "a.gltf"), FORMATS[".glb"].read(data), dict.fromkeys(vars(made(1, 0)), 0))
+    np.testing.assert_allclose(splats_up(tmp_path / "a.gltf"), [0, -1, 0], atol=1e-12)
+
+
+def test_rows_of_32_bytes(tmp_path: Path) -> None:
+    """Files of antimatter15's viewer."""
+    splats = made(99, 0)
+    rows = np.zeros(99, [("mean", "<f4", 3), ("size", "<f4", 3), ("colour", "u1", 4), ("turn", "u1", 4)])
+    rows["mean"], rows["size"] = splats.mean, np.exp(splats.scale)
+    colour = np.column_stack([0.5 + ZERO * splats.base, packing.opacities(splats)])
+    rows["colour"] = (colour * 255).clip(0, 255).round()
+    rows["turn"] = (splats.unit_quaternions() * 128 + 128).clip(0, 255).round()
+    (tmp_path / "a.splat").write_bytes(rows.tobytes())
+    steps = {"mean": 0, "scale": 1e-6, "base": 1 / 255 / ZERO, "opacity": 1 / 255, "quaternion": 20 / 128}
+    inside = replace(splats, base=splats.base.clip(-0.5 / ZERO, 0.5 / ZERO))
+    assert_near(read_splats(tmp_path / "a.splat"), inside, steps)
+
+
+@pytest.mark.parametrize(
+    ("suffix", "old", "new", "noted"),
+    [
+        (".ply", b"comment", b"comment SplatRenderMode: mip\ncomment", True),
+        (".ply", b"comment", b"comment antialiased 1\ncomment", True),
+        (".compressed.ply", b"comment", b"comment splatrendermode: Mip\ncomment", True),
+        (".ply", b"comment", b"comment antialiased 1\ncomment SplatRenderMode: default\ncomment", False),
+    ],
+)
+def test_splats_for_other_filters(suffix: str, old: bytes, new: bytes, noted: bool, tmp_path: Path) -> None:
+    (tmp_path / f"a{suffix}").write_bytes(write_splats(made(5, 0), suffix).replace(old, new, 1))
+    notes: list[str] = []
+    read_located(tmp_path / f"a{suffix}", None, notes.append)
+    assert [note.startswith(f"refcodec: {tmp_path / 'a'}{suffix}: trained for anti") for note in notes] == [
+        True
+    ] * noted
+
+
+def ply_with(splats: Splats, *without: str, **more: NDArray[Any]) -> bytes:
+    """A PLY file of Gaussians without the properties of some stems, and with others."""
     table = parse_ply(write_splats(splats, ".ply"))["vertex"]
-    columns = {name: table[name] for name in names_of(table) if not name.startswith(without)} | more
+    columns = {name: table[name] for name in names_of(table) if not name.startswith(without or "-")} | more
     made = np.empty(len(table), [(name, values.dtype) for name, values in columns.items()])
     for name, values in columns.items():
         made[name] = values
@@ -373,13 +508,21 @@ def test_ply_files_of_other_programs(tmp_path: Path) -> None:
         return read, offset.tolist()
 
     red = np.arange(20, dtype=np.uint8)
-    coloured, _ = located(ply_with(splats, "f_", red=red, green=red, blue=red), "colours are bytes")
+    coloured, _ = located(ply_with(splats, "f_", red=red, green=red, blue=red), "colours are integers")
     np.testing.assert_allclose(0.5 + ZERO * coloured.base[:, 1], red / 255, atol=1e-6)
+    words = {name: red.astype(np.uint16) * 257 for name in ("red", "green", "blue", "alpha")}
+    coloured, _ = located(ply_with(splats, "f_", "opacity", **words), "colours are integers")
+    np.testing.assert_allclose(0.5 + ZERO * coloured.base[:, 1], red / 255, atol=1e-6)
+    np.testing.assert_allclose(packing.opacities(coloured), red / 255, atol=2e-3)
     # Mip-Splatting: a ball gets the squares of both lengths, and the opacity the quotient of the volumes.
     ball = replace(splats, scale=np.zeros_like(splats.scale), opacity=np.zeros_like(splats.opacity))
     filtered, _ = located(ply_with(ball, filter_3D=np.full(20, 2, np.float32)), "filter_3D is applied")
     np.testing.assert_allclose(filtered.scale, np.log(5) / 2, rtol=1e-6)
     np.testing.assert_allclose(1 / (1 + np.exp(-filtered.opacity)), 0.5 / 5**1.5, rtol=1e-5)
+    # Lengths of quaternions have no meaning, though they may be beyond float32.
+    far = {f"rot_{i}": splats.quaternion[:, i].astype(np.float64) * 1e250 for i in range(4)}
+    file.write_bytes(ply_with(splats, **far))
+    assert_near(read_splats(file), splats, {"quaternion": 1e-6, "mean": 0})
     # Of 72 coefficients, each channel has 24. Those of degree 3 are the first 15.
     rest = {f"f_rest_{i}": np.full(20, i, np.float32) for i in range(72)}
     cut, _ = located(ply_with(splats, "f_rest", **rest), "degree 4 are cut to degree 3")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import gzip
 import io
 import json
@@ -94,14 +95,39 @@ def layer(suffix: str, data: bytes) -> tuple[bytes, Repack]:
     return data, lambda inner: inner
 
 
+def json_(path: str, value: Any) -> Callable[[bytes], bytes]:
+    """Replaces a value of a JSON text."""
+
+    def change(text: bytes) -> bytes:
+        root = json.loads(text)
+        *above, last = path.split("/")
+        node = root
+        if path == "nodes":
+            del root["scenes"]
+        for key in above:
+            node = node[int(key) if isinstance(node, list) else key]
+        node[int(last) if isinstance(node, list) else last] = value
+        return json.dumps(root).encode()
+
+    return change
+
+
 def own(suffix: str) -> bytes:
     return write_splats(SPLATS, suffix)
+
+
+def as_text(data: bytes) -> bytes:
+    """A GLB file as a .gltf file, with its numbers within."""
+    text, repack = layer(".glb", data)
+    uri = "data:application/octet-stream;base64," + base64.b64encode(repack(b"")[28:]).decode()
+    return json_("buffers/0/uri", uri)(text)
 
 
 SOURCES: dict[str, tuple[str, bytes]] = {suffix: (suffix, own(suffix)) for suffix in FORMATS} | {
     name: (Path(name).suffix, (FOREIGN / name).read_bytes())
     for name in ("playbot-plyfile.ply", "playbot-splat-transform.spz", "playbot-pygltflib.glb")
 }
+SOURCES[".gltf"] = (".gltf", as_text(own(".glb")))
 
 
 # --- the matrix -------------------------------------------------------------------------------------------------------
@@ -171,21 +197,6 @@ def bytes_(old: bytes, new: bytes) -> Callable[[bytes], bytes]:
     return change
 
 
-def json_(path: str, value: Any) -> Callable[[bytes], bytes]:
-    """Replaces a value of a JSON text."""
-
-    def change(text: bytes) -> bytes:
-        root = json.loads(text)
-        *above, last = path.split("/")
-        node = root
-        for key in above:
-            node = node[int(key) if isinstance(node, list) else key]
-        node[int(last) if isinstance(node, list) else last] = value
-        return json.dumps(root).encode()
-
-    return change
-
-
 def at(place: int, new: bytes) -> Callable[[bytes], bytes]:
     return lambda data: data[:place] + new + data[place + len(new) :]
 
@@ -218,10 +229,14 @@ REFUSED: list[tuple[str, Callable[[bytes], bytes], str]] = [
     (".spz", at(8, b"\0\0\0\1"), "16777216 Gaussians, but has only"),
     (".spz", at(8, b"\0\0\x10\0"), "fewer bytes than its 1048576"),
     (".spz", at(8, b"\0\0\0\0"), "no Gaussians"),
-    (".spz", at(12, b"\x04"), "degree 4"),
+    (".spz", at(12, b"\x05"), "degree 5"),
+    (".spz", lambda data: at(14, b"\2")(data) + struct.pack("<III", 0xADBE0003, 4, 9), "its axes are LFD, which"),
+    (".spz", lambda data: at(14, b"\2")(data) + struct.pack("<III", 0xADBE0003, 4, 17), "none of Niantic's 16"),
+    (".spz", lambda data: at(14, b"\2")(data) + struct.pack("<III", 0xADBE0003, 5, 6), "0xadbe0003 is truncated"),
     (".spz", at(13, b"\x18"), "24 fractional"),
     (".spz", lambda data: data[:-1], "fewer bytes"),
     (".sog", json_("version", 3), "version 3, but only version 2"),
+    (".sog", bytes_(b'"version":2,', b""), "version 1, but only version 2 is supported; `splat-transform meta.json"),
     (".sog", json_("count", 17_000_000), "17000000 Gaussians"),
     (".sog", json_("count", 9_000_000), "9000000 Gaussians, but has only"),
     (".sog", json_("count", 900_000), "pixels for 900000"),
@@ -241,9 +256,22 @@ REFUSED: list[tuple[str, Callable[[bytes], bytes], str]] = [
     (".glb", lambda text: b"[]", "0 primitives with KHR_gaussian_splatting"),
     (".glb", json_("meshes", []), "0 primitives"),
     (".glb", json_("meshes", {}), "meshes in its chunk JSON is {}: a list is required"),
-    (".glb", json_(f"{PRIMITIVE}/extensions", [0]), "0 primitives"),
+    (".glb", json_(f"{PRIMITIVE}/extensions", [0]), "0 primitives with KHR_gaussian_splatting, so it is no splat"),
+    (".glb", json_("nodes/0/scale", [1, 1.01, 1]), "its nodes shear meshes/0, or scale its axes differently"),
+    (".glb", json_("nodes/0/scale", [0, 0, 0]), "its nodes shear"),
+    (".glb", json_("nodes/0/matrix", [1, 0.1, *[0] * 13, 1]), "its nodes shear"),
+    (".glb", json_("nodes/0/translation", [1e300, 0, 0]), "nodes/0/translation/[0] in its chunk JSON is 1e+300"),
+    (".glb", json_("nodes/0/skin", 0), "its node 0 has skin, which is not supported"),
+    (".glb", json_("nodes/0/extensions", {"EXT_mesh_gpu_instancing": {}}), "node 0 has extensions/EXT_mesh_gpu_inst"),
+    (".glb", json_("nodes/0/children", [0]), "its nodes are not trees: node 0"),
+    (".glb", json_("scenes/0/nodes", [4]), "its nodes are not trees: node 4 is missing"),
+    (".glb", json_("scenes/0/nodes", [0] * 9), "its nodes are not trees: node 0"),
+    (".glb", json_("nodes", [{"mesh": 0}] * 5000), "its nodes show splats 5000 times, but 4096 are the most"),
+    (".glb", json_(f"{PRIMITIVE}/targets", [{}]), "targets of morphing"),
+    (".glb", json_("extensionsRequired", ["EXT_a"]), "it requires EXT_a, which is not supported"),
+    (".glb", json_("bufferViews/0/extensions", {"EXT_meshopt_compression": {}}), "compressed by EXT_meshopt_compress"),
     (".glb", json_(f"{OWN}/kernel", "cube"), "its kernel is 'cube', but only 'ellipse'"),
-    (".glb", json_(f"{OWN}/extensions", {"spz": {}}), "another extension"),
+    (".glb", json_(f"{OWN}/extensions", {"spz": {}}), "compressed by spz, which is not supported"),
     (".glb", json_(f"{PRIMITIVE}/attributes", None), "attributes in its chunk JSON is None: an object is required"),
     (".glb", json_(f"{PRIMITIVE}/attributes/{SPLATTING}:SCALE", 2), "SCALE does not have 3 numbers"),
     (".glb", json_(f"{PRIMITIVE}/attributes/{SPLATTING}:SCALE", 99), "no accessors/99/componentType"),
@@ -258,7 +286,7 @@ REFUSED: list[tuple[str, Callable[[bytes], bytes], str]] = [
     (".glb", json_("accessors/0/count", 0), "no Gaussians"),
     (".glb", json_("accessors/4/count", 9), "9 rows for 40"),
     (".glb", json_("accessors/0/componentType", 5125), "POSITION does not have 3 numbers"),
-    (".glb", json_("accessors/0/componentType", 5122), "not normalized"),
+    (".glb", json_("accessors/0/componentType", 5122), "POSITION has integers that are not normalized"),
     (".glb", json_("accessors/0/sparse", {}), "sparse"),
     (".glb", json_("accessors/0/byteOffset", 8), "POSITION lies outside"),
     (".glb", json_("bufferViews/0/buffer", 1), "in another file"),
@@ -297,7 +325,24 @@ FILES: list[tuple[str, bytes, str]] = [
     (".sog", zipped({"meta.json": b" " * (64 << 20)}, zipfile.ZIP_DEFLATED), "meta.json has more than"),
     (".sog", zipped({f"{number:0100}": b"" for number in range(3000)}), "directory has more than"),
     (".sog", zipped(SOG_ENTRIES, zipfile.ZIP_LZMA), "neither stored nor deflated"),
-    (".glb", b"", "not a GLB"),
+    (".glb", b"", "it is an empty file"),
+    (".splat", bytes(33), "33 bytes, but a .splat file has 32 for each"),
+    (".gltf", b"{}", "no buffers/0/uri"),
+    (".gltf", b'{"buffers":[{"uri":"../a.bin"}]}', "no file ../a.bin beside it"),
+    (".gltf", b'{"buffers":[{"uri":"data:;base64,@"}]}', "not base64"),
+    (".ply", b"\x1f\x8b" + bytes(9), "compressed by gzip; unpack it"),
+    (".ply", b"ply\nformat ascii 1.0\nelement face 1\nproperty list int int a\nend_header\n0\n", "a mesh is no splat"),
+    (".spz", own(".ply"), "a file of the kind .ply; give it this suffix"),
+    (".ply", b" <!DOCTYPE html><p>", "it is a web page; download"),
+    (".ply", b"version https://git-lfs.github.com/spec/v1\n", "a pointer of Git LFS, not the file; run `git lfs pull`"),
+    (".sogs", b"1", "a splat of another format; export PLY"),
+    (".ksplat", bytes(4096), "`splat-transform a.ksplat scene.ply`"),
+    (".spx", b"1", "`gsbox spx2ply -i a.spx"),
+    (".usdz", b"1", "it is a scene of USD"),
+    (".bin", zipped({"archive/data.pkl": b""}), "it is a checkpoint of a training; export PLY"),
+    (".bin", zipped({"a.ply": b""}), "it is an archive; unpack it"),
+    (".jpg", b"1", "it is an image; give the folder of photographs to `refcodec train`"),
+    (".txt", b"1", "it is neither a model folder nor a splat file; give one of .ply"),
     (".glb", b"glTF\x01" + bytes(30), "not a GLB"),
     (".glb", b"glTF\x02" + bytes(7), "chunk JSON is missing"),
     (".glb", b"glTF\x02" + bytes(7) + struct.pack("<I4s", 5000, b"JSON") + bytes(99), "is missing or truncated"),
@@ -394,8 +439,15 @@ def test_nodes_that_do_not_turn(rotation: Any, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "reason"), [("none.ply", "the file does not exist"), ("a.txt", "its name has no suffix")]
+    ("name", "inside", "reason"),
+    [
+        ("none.ply", "", "the file does not exist; give one of .ply"),
+        ("n", "nerfstudio_models", "it is a training of nerfstudio; `ns-export gaussian-splat --load-config .*/n/conf"),
+        ("p", "images", "it is a folder of photographs; `refcodec train .*/p` makes a scene of it"),
+    ],
 )
-def test_a_missing_file(name: str, reason: str, tmp_path: Path) -> None:
-    with pytest.raises(SceneFolderError, match=f"{reason}.*; give a file of 3D Gaussians"):
+def test_what_is_no_file(name: str, inside: str, reason: str, tmp_path: Path) -> None:
+    if inside:
+        (tmp_path / name / inside).mkdir(parents=True)
+    with pytest.raises(SceneFolderError, match=reason):
         read_splats(tmp_path / name)
