@@ -169,12 +169,13 @@ def _convert_fast(source: Path, output: Path, words: ConvertWords) -> Report:
     from ..bitstream.codec import emit
     from ..bitstream.header import RenderInfo
     from ..convert import fast
-    from ..convert.pictures import chosen_cameras, georeference, moved, up_of
+    from ..convert.pictures import chosen_cameras, up_of
     from ..convert.views import near_plane
+    from ..folder.georeference import georeference
     from ..folder.metadata import with_entries
     from ..folder.places import C3GS, check_outputs, progress_bar
     from ..formats.table import read_located
-    from ..rendering.camera import STATED, nearest_axis
+    from ..rendering.camera import STATED, moved, nearest_axis
     from .shown import note_compiling
 
     check_outputs([source, words.get("cameras")], (output, C3GS))
@@ -216,10 +217,12 @@ def _convert_fast(source: Path, output: Path, words: ConvertWords) -> Report:
 
 def _train(source: Path, output: Path, words: ConvertWords) -> Report:
     """Draws a splat file from cameras, and trains a scene from these pictures."""
-    from ..convert.pictures import check_pictures, draw_pictures, georeference, moved, up_of
+    from ..convert.pictures import check_pictures, draw_pictures, up_of
+    from ..folder.georeference import georeference
     from ..folder.places import check_outputs, progress_bar
     from ..formats.table import read_located
     from ..photographs.as_trained import stated_photographs
+    from ..rendering.camera import moved
     from ..train.command import state_path
     from ..train.place import STATE, check_state
     from ..train.settings_file import chosen_settings

@@ -133,11 +133,16 @@ def train(
         return Report(to_toml(chosen).splitlines())
     if photographs is None or output is None:
         raise UsageError("train needs PHOTOGRAPHS and -o SCENE_DIR")
+    import numpy as np
+
+    from ..bitstream.cameras import NamedCamera
     from ..bitstream.networks import BoundError
+    from ..files.terminal import note
+    from ..folder.georeference import georeference
     from ..folder.layout import REPORT_FILE
     from ..folder.metadata import stated_entries
     from ..folder.places import check_outputs
-    from ..photographs.as_trained import stated_photographs
+    from ..photographs.as_trained import scene_offset, stated_photographs
     from ..train.command import state_path
     from ..train.continued import BeginningError, read_beginning
     from ..train.log import check_log, open_log
@@ -155,7 +160,15 @@ def train(
     images = stated_photographs(photographs, chosen.size, chosen.background, chosen.holdout)
     reads = images.places()
     check_outputs(reads, *files, scene=folder, uncompressed=True)
+    for text in images.notes:
+        note(f"refcodec: {text}")
     given = None if from_scene is None else read_beginning(Path(from_scene))
+    offset = scene_offset(
+        images, next(iter(given.cameras if given else ()), NamedCamera()), given.offset if given else np.zeros(3)
+    )
+    if offset.any():
+        note(f"refcodec: far from the world's origin for its size: {offset.tolist()} is subtracted from all places")
+        entries = {**georeference(offset), **entries} if chosen.rate.lambda_r else entries
     note_compiling()
     rows = None if log is None else open_log(Path(log))
     # The photographs are not at fault for networks that a file cannot hold.
@@ -165,7 +178,7 @@ def train(
     }
     with refusing(f"{os.fspath(photographs)} cannot be trained", others):
         return run_training(
-            images,
+            images.moved(offset),
             chosen,
             folder,
             os.fspath(photographs),
@@ -239,6 +252,8 @@ def fit(
     """
     from zipfile import BadZipFile
 
+    from ..files.terminal import note
+    from ..folder.georeference import georeference
     from ..folder.layout import scene_files
     from ..folder.metadata import stated_entries, with_entries
     from ..folder.places import check_outputs, progress_bar
@@ -264,9 +279,11 @@ def fit(
     unreadable = dict.fromkeys((BadZipFile, EOFError), f"{source} cannot be fitted")
     with refusing(f"{source} cannot be fitted", unreadable), hold_state(state):
         given = read_given(source, voxel)
+        for text in given.notes:
+            note(f"refcodec: {source}: {text}")
         with progress_bar({"progress": progress}) as show:
             result = run(given, chosen, progress=show, state=state)
-        scene = with_entries(result.scene, entries)
+        scene = with_entries(result.scene, {**georeference(given.offset), **entries})
         write_somewhere(lambda place: write_folder(scene, place), folder, state)
         done, dropped = result.report["steps"], result.report["dropped"]
         # Ctrl-C ends the training, not the program.

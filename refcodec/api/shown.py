@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,10 +14,13 @@ from numpy.typing import NDArray
 from ..bitstream.cameras import NamedCamera, cameras
 from ..bitstream.codec import emit, parse, parse_ancillary, parse_container
 from ..bitstream.header import RenderInfo
+from ..bitstream.metadata import metadata
+from ..bitstream.scene import Ancillary
 from ..bitstream.scene import Scene as CodedScene
 from ..bitstream.source import Place, StrPath
 from ..encoder.quantise import packed
 from ..files.terminal import note
+from ..folder.georeference import stated_offset
 from ..folder.layout import check_scene_folder
 from ..folder.places import COPIES, check_cloud, progress_bar, read_whole, shown_name
 from ..folder.read import read_folder
@@ -70,9 +74,15 @@ class Shown:
     @property
     def cameras(self) -> list[NamedCamera]:
         """The cameras that the scene states, without decoding. The first one is the default view."""
+        plain = self.uncompressed
+        return cameras(self.ancillary) if plain is None else [*plain.cameras]
+
+    @property
+    def ancillary(self) -> Sequence[Ancillary]:
+        """The ancillary sections, without decoding. An uncompressed scene has none."""
         if self.data is not None:
-            return cameras(parse_ancillary(self.data))
-        return cameras(self.scene.ancillary) if isinstance(self.scene, CodedScene) else [*self.scene.cameras]
+            return parse_ancillary(self.data)
+        return self.scene.ancillary if isinstance(self.scene, CodedScene) else ()
 
     @property
     def up(self) -> NDArray[np.float64]:
@@ -111,7 +121,8 @@ class Shown:
         camera = next(iter(self.cameras), NamedCamera())
         background = words.get("background") or ",".join(map(str, self.render.background))
         words = {**words, "background": background}
-        return trained_photographs(folder, self.folder, camera, words, self.name if compared else "")
+        offset = stated_offset(metadata(self.ancillary))
+        return trained_photographs(folder, self.folder, camera, words, offset, self.name if compared else "")
 
 
 def encoded(name: str, scene: CodedScene, words: ReadingWords) -> bytes:

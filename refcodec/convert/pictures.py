@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,17 +18,6 @@ from . import views
 from .notes import CAMERAS_FILE, read_cameras
 
 F64 = NDArray[np.float64]
-
-
-def moved(cameras: list[Camera], offset: F64) -> list[Camera]:
-    """Returns cameras at places from which an offset is subtracted, float64 [3]."""
-    return [replace(c, translation=c.translation + c.rotation @ offset) for c in cameras]
-
-
-def georeference(offset: F64) -> dict[str, str]:
-    """SPEC 6.14: returns the entry of metadata for an offset that was subtracted; none for zeros."""
-    rows = np.column_stack([np.eye(4)[:, :3], [*offset, 1]])
-    return {"georeference": " ".join(f"{number:.17g}" for number in rows.ravel())} if offset.any() else {}
 
 
 def stated_cameras(source: Path, file: str | os.PathLike[str] | None) -> list[Camera]:

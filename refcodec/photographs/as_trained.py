@@ -6,10 +6,14 @@ import os
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ..bitstream.cameras import NamedCamera
 from ..files.documents import DocumentError, read_json
 from ..files.present import NotAFileError, is_there
 from ..folder.layout import REPORT_FILE
+from ..rendering.camera import default_camera
 from ..statuses import UsageError
 from .photographs import TEST_EVERY, PhotographSet, parse_background, parse_size, read_photographs
 
@@ -26,7 +30,12 @@ def stated_photographs(
 
 
 def trained_photographs(
-    folder: str | os.PathLike[str], scene: Path | None, camera: NamedCamera, words: dict[str, Any], compared: str = ""
+    folder: str | os.PathLike[str],
+    scene: Path | None,
+    camera: NamedCamera,
+    words: dict[str, Any],
+    offset: NDArray[np.float64],
+    compared: str = "",
 ) -> tuple[PhotographSet, list[str]]:
     """Returns the photographs of a folder as in the training of a scene, and messages on values that are assumed.
 
@@ -36,6 +45,7 @@ def trained_photographs(
             the size is that of its camera then, and every eighth photograph is held out.
         camera: the default view of the scene.
         words: `size`, `background` and `holdout`, which override these. None stands for no such value.
+        offset: what the scene states to be subtracted from the places of its world, float64 [3].
         compared: the name of the scene, if the held-out photographs matter.
 
     Raises:
@@ -53,7 +63,19 @@ def trained_photographs(
             f"the test set of the data set, or every {TEST_EVERY}th photograph, is compared, because {compared} "
             "does not state which ones training held out; --holdout N compares every N-th one, or all with 0"
         )
-    return stated_photographs(folder, size, words["background"], holdout), notes
+    photographs = stated_photographs(folder, size, words["background"], holdout)
+    return photographs.moved(scene_offset(photographs, camera, offset)), notes
+
+
+def scene_offset(photographs: PhotographSet, camera: NamedCamera, offset: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Returns what to subtract from the places of photographs to get those of a scene, float64 [3].
+
+    camera: the default view of the scene, which is near the photographs. offset: the stated one, zeros for none: that
+    of the photographs then, if any (PhotographSet.offset).
+    """
+    offset = offset if offset.any() else photographs.offset()
+    away = np.median(photographs.centres, axis=0) - default_camera(camera).centre
+    return offset if np.linalg.norm(away - offset) < np.linalg.norm(away) else np.zeros(3)
 
 
 def _trained(path: Path) -> dict[str, Any]:

@@ -8,9 +8,10 @@ multiplies fx and cx by one factor, fy and cy by another, with no half pixels.
 
 from __future__ import annotations
 
+import os
 import stat
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,9 +56,10 @@ def there(path: Path, kind: int = stat.S_IFREG) -> bool:
         raise PhotographError(path, str(error), "restore it, or remove it") from None
 
 
-# k1, k2, p1, p2 of COLMAP's and OpenCV's OPENCV model, in normalised image coordinates.
-Distortion = tuple[float, float, float, float]
-UNDISTORTED: Distortion = (0.0, 0.0, 0.0, 0.0)
+# The coefficients of COLMAP's and OpenCV's FULL_OPENCV model, in normalised image coordinates, by their order.
+COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+Distortion = tuple[float, ...]
+UNDISTORTED: Distortion = (0.0,) * len(COEFFICIENTS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +69,37 @@ class Shot:
     path: Path
     camera: Camera
     distortion: Distortion = UNDISTORTED
+
+
+class Names:
+    """Finds the files in a folder that a data set names."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, self._entries = folder, dict[Path, dict[str, str]]()
+
+    def file(self, where: Path | str, key: str, name: str) -> Path:
+        """Returns the file of a name: as stated, or with slashes for backslashes, or in another case.
+
+        where, key: the place of the name in the data set, and what it is there. If there is no such file, returns the
+        path as stated. Raises PhotographError for a name outside the folder: otherwise an untrusted document could put
+        any picture of this machine into a scene or a page.
+        """
+        slashed = PurePosixPath(name.replace("\\", "/"))
+        if not slashed.parts or ".." in slashed.parts or slashed.is_absolute():
+            problem = f"the {key} {name!r:.200} does not name a file in the folder"
+            raise PhotographError(where, problem, f"names are relative to {self.folder}: change them")
+        stated = self.folder / name
+        # A dangling link is the file that is meant, and it is missing.
+        if stated.is_file() or (stated.is_symlink() and not stated.is_dir()):
+            return stated
+        place = self.folder
+        for part in slashed.parts:
+            if place not in self._entries:
+                names = sorted(os.listdir(place)) if place.is_dir() else []
+                self._entries[place] = {entry.casefold(): entry for entry in names} | {entry: entry for entry in names}
+            entries = self._entries[place]
+            place /= entries.get(part) or entries.get(part.casefold(), part)
+        return place if place.is_file() else stated
 
 
 def check_intrinsics(where: Path | str, camera: Camera, distortion: Distortion) -> None:
@@ -81,7 +114,7 @@ def check_intrinsics(where: Path | str, camera: Camera, distortion: Distortion) 
         if not low <= focal <= high:
             problem = f"the focal length {name} is {focal} pixels; for {width} x {height} it must be"
             raise PhotographError(where, f"{problem} {low:g} to {high:g}", advice)
-    for name, value in zip(("cx", "cy", "k1", "k2", "p1", "p2"), (camera.cx, camera.cy, *distortion), strict=True):
+    for name, value in zip(("cx", "cy", *COEFFICIENTS), (camera.cx, camera.cy, *distortion), strict=True):
         if not np.isfinite(value):
             raise PhotographError(where, f"{name} is {value}, but must be a finite number", advice)
     if not (-width <= camera.cx <= 2 * width and -height <= camera.cy <= 2 * height):

@@ -6,14 +6,14 @@ points3D.bin that states 2^60 points. Formats: https://colmap.github.io/format.h
 
 from __future__ import annotations
 
+import contextlib
 import re
 import stat
 import struct
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,8 +21,10 @@ import numpy as np
 from .cameras import (
     F64,
     U8,
+    UNDISTORTED,
     Camera,
     Distortion,
+    Names,
     PhotographError,
     Shot,
     check_intrinsics,
@@ -32,13 +34,17 @@ from .cameras import (
 )
 from .images import Size, image_size
 
-# The supported models, with the mapping of their parameters to fx, fy, cx, cy and k1, k2, p1, p2.
+# The supported models, with the mapping of their parameters to fx, fy, cx, cy and the first COEFFICIENTS.
 MODELS: dict[str, tuple[int, Callable[..., tuple[tuple[float, float, float, float], Distortion]]]] = {
-    "SIMPLE_PINHOLE": (3, lambda f, cx, cy: ((f, f, cx, cy), (0, 0, 0, 0))),
-    "PINHOLE": (4, lambda fx, fy, cx, cy: ((fx, fy, cx, cy), (0, 0, 0, 0))),
-    "SIMPLE_RADIAL": (4, lambda f, cx, cy, k: ((f, f, cx, cy), (k, 0, 0, 0))),
-    "RADIAL": (5, lambda f, cx, cy, k1, k2: ((f, f, cx, cy), (k1, k2, 0, 0))),
+    "SIMPLE_PINHOLE": (3, lambda f, cx, cy: ((f, f, cx, cy), ())),
+    "PINHOLE": (4, lambda fx, fy, cx, cy: ((fx, fy, cx, cy), ())),
+    "SIMPLE_RADIAL": (4, lambda f, cx, cy, k: ((f, f, cx, cy), (k,))),
+    "RADIAL": (5, lambda f, cx, cy, k1, k2: ((f, f, cx, cy), (k1, k2))),
     "OPENCV": (8, lambda fx, fy, cx, cy, k1, k2, p1, p2: ((fx, fy, cx, cy), (k1, k2, p1, p2))),
+    "FULL_OPENCV": (
+        12,
+        lambda fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, k5, k6: ((fx, fy, cx, cy), (k1, k2, p1, p2, k3, k4, k5, k6)),
+    ),
 }
 # Binary files number the models. Names of unsupported models are for the message.
 MODEL_IDS = (
@@ -69,18 +75,37 @@ class _Pose:
     translation: F64
 
 
-def find_model(folder: Path) -> Path | None:
-    """Returns the folder of a COLMAP model: the first of sparse/0, sparse and the folder that has its files."""
-    for place in (folder / "sparse" / "0", folder / "sparse", folder):
-        if any(there(place / f"{part}{suffix}") for part in PARTS for suffix in (".bin", ".txt")):
-            return place
-    return None
+def find_models(folder: Path) -> list[tuple[int, Path]]:
+    """Returns the COLMAP models of a folder, each with its number of images: the one of most images first.
+
+    They are sparse/0, sparse/1 and so on, or else the first of sparse and the folder that has the files of a model.
+    """
+    numbered = sorted((p for p in folder.glob("sparse/*") if p.name.isdecimal()), key=lambda p: int(p.name))
+    places = [
+        place
+        for place in (*numbered, folder / "sparse", folder)
+        if any(there(place / f"{part}{suffix}") for part in PARTS for suffix in (".bin", ".txt"))
+    ]
+    several = [place for place in places if place in numbered] or places[:1]
+    # The only one is counted when it is read.
+    counts = [_image_count(place) if len(several) > 1 else 0 for place in several]
+    return sorted(zip(counts, several, strict=True), key=lambda model: -model[0])
+
+
+def _image_count(model: Path) -> int:
+    """Returns the number of images that a model states, 0 if that cannot be read."""
+    with contextlib.suppress(PhotographError, OSError, struct.error):
+        if (file := model / "images.bin").is_file():
+            with file.open("rb") as opened:
+                return int(struct.unpack("<Q", opened.read(8))[0])
+        return len(_text_images(model / "images.txt"))
+    return 0
 
 
 def read_colmap(folder: Path, model: Path, size: Size) -> tuple[list[Shot], F64, U8, int]:
     """Returns posed images in order of names, points [M, 3], colours [M, 3], and the number of images without pose.
 
-    folder: the data set. model: the result of find_model. Images are in folder/images, or in images_2, images_4 and so
+    folder: the data set. model: one of find_models. Images are in folder/images, or in images_2, images_4 and so
     on, the smallest of these with enough pixels for the size. Raises PhotographError.
     """
     suffix = ".bin" if any(there(model / f"{part}.bin") for part in PARTS) else ".txt"
@@ -103,14 +128,14 @@ def read_colmap(folder: Path, model: Path, size: Size) -> tuple[list[Shot], F64,
         twice = next(a.camera.name for a, b in pairwise(shots) if a.camera.name == b.camera.name)
         advice = "names must differ: export the model again"
         raise PhotographError(images_file, f"two images are named {twice!r}", advice)
-    images = _image_folder(folder, shots, size)
-    missing = [name for shot in shots if not (images / (name := shot.camera.name)).is_file()]
+    found = Names(_image_folder(folder, shots, size))
+    shots = [replace(shot, path=found.file(images_file, "name", shot.camera.name)) for shot in shots]
+    missing = [shot.path for shot in shots if not shot.path.is_file()]
     if missing:
         problem = f"the image is missing ({len(missing)} of the {len(shots)} images with a pose are missing)"
-        raise PhotographError(images / missing[0], problem, "restore it, or remove its pose from the model")
-    pictures = (p for p in images.rglob("*") if p.suffix.lower() in IMAGE_SUFFIXES and p.is_file())
-    skipped = sum(p.relative_to(images).as_posix() not in names for p in pictures)
-    return [replace(shot, path=images / shot.camera.name) for shot in shots], points, colours, skipped
+        raise PhotographError(missing[0], problem, "restore it, or remove its pose from the model")
+    pictures = {p for p in found.folder.rglob("*") if p.suffix.lower() in IMAGE_SUFFIXES and p.is_file()}
+    return shots, points, colours, len(pictures - {shot.path for shot in shots})
 
 
 def read_points(file: Path) -> tuple[F64, U8]:
@@ -124,15 +149,13 @@ def read_points(file: Path) -> tuple[F64, U8]:
 def _shot(cameras: Path, pose: _Pose, lenses: _Lenses) -> Shot:
     if pose.camera not in lenses:
         raise PhotographError(pose.where, f"camera {pose.camera} is not in {cameras.name}", "export the model again")
-    parts = PurePosixPath(pose.name).parts
-    if not parts or ".." in parts or pose.name.startswith("/"):
-        problem = f"the name {pose.name!r} does not name a file in the image folder"
-        raise PhotographError(pose.where, problem, "use names relative to the image folder")
     rotation = quaternion_rotation(pose.where, pose.quaternion)
     check_pose(pose.where, pose.translation)
     camera, distortion = lenses[pose.camera]
-    camera = replace(camera, name=pose.name, rotation=rotation, translation=pose.translation)
-    return Shot(Path(pose.name), camera, distortion)
+    # The name of an image is also that of its output file.
+    name = pose.name.replace("\\", "/")
+    camera = replace(camera, name=name, rotation=rotation, translation=pose.translation)
+    return Shot(Path(), camera, distortion)
 
 
 def _image_folder(folder: Path, shots: list[Shot], size: Size) -> Path:
@@ -149,7 +172,7 @@ def _image_folder(folder: Path, shots: list[Shot], size: Size) -> Path:
         )
     if size is not None:
         for place in reversed(folders[1:]):
-            if there(first := place / shots[0].camera.name):
+            if there(first := Names(place).file(place, "name", shots[0].camera.name)):
                 width, height = image_size(first)
                 if max(width, height) >= size if isinstance(size, int) else (width >= size[0] and height >= size[1]):
                     return place
@@ -162,7 +185,8 @@ def _add_lens(
     count, make = MODELS[model]
     if len(parameters) != count:
         raise PhotographError(where, f"it has {len(parameters)} parameters, but {model} has {count}", RERUN)
-    intrinsics, distortion = make(*parameters)
+    intrinsics, stated = make(*parameters)
+    distortion = (*stated, *UNDISTORTED[len(stated) :])
     camera = Camera("", width, height, *intrinsics, np.eye(3), np.zeros(3))
     check_intrinsics(where, camera, distortion)
     if identifier in out:
@@ -202,7 +226,7 @@ def _lines(file: Path) -> Iterator[tuple[str, str]]:
         raise PhotographError(file, "it is not text in UTF-8", RERUN) from None
 
 
-@contextmanager
+@contextlib.contextmanager
 def _numbers(where: str, form: str) -> Iterator[None]:
     """Turns the exceptions of conversions and unpacking for a bad line into PhotographError."""
     try:

@@ -121,6 +121,12 @@ def image_size(path: Path) -> tuple[int, int]:
         return image.size
 
 
+def is_transparent(path: Path) -> bool:
+    """Whether an image file has an alpha channel or a transparent colour. As image_size."""
+    with _opened(path) as image:
+        return image.has_transparency_data
+
+
 def read_image(path: Path, background: tuple[int, int, int]) -> U8:
     """Returns the pixels of an image file, uint8 [H, W, 3], RGB. Raises PhotographError.
 

@@ -1,6 +1,6 @@
-"""Lens distortion: COLMAP's SIMPLE_RADIAL, RADIAL and OPENCV models, and undistorted images.
+"""Lens distortion: COLMAP's SIMPLE_RADIAL, RADIAL, OPENCV and FULL_OPENCV models, and undistorted images.
 
-All three models use k1, k2, p1, p2 of OPENCV. scipy's map_coordinates resamples. opencv would be faster, but takes
+All of them use coefficients of FULL_OPENCV. scipy's map_coordinates resamples. opencv would be faster, but takes
 150 MB.
 """
 
@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from scipy.ndimage import map_coordinates
 
-from .cameras import F64, U8, Camera, Distortion, PhotographError
+from .cameras import COEFFICIENTS, F64, U8, Camera, Distortion, PhotographError
 from .images import shrink
 
 # Sample points of the distortion along each edge of an image, and along each side of a grid over it.
@@ -28,22 +28,30 @@ ROWS = 256
 
 def distort(points: F64, distortion: Distortion) -> F64:
     """Returns the positions [N, 2] at which points [N, 2] of the image plane z = 1 appear through the lens."""
-    k1, k2, p1, p2 = distortion
+    p1, p2 = distortion[2:4]
     x, y = points[:, 0], points[:, 1]
     r2 = x * x + y * y
-    radial = 1 + k1 * r2 + k2 * r2 * r2
+    radial, _ = _radial(r2, distortion)
     return np.stack(
         [x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x), y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y],
         axis=1,
     )
 
 
+def _radial(r2: F64, distortion: Distortion) -> tuple[F64, F64]:
+    """Returns the factor of radial distortion for squared distances from the axis, and its slope in r2, [N] each."""
+    k1, k2, _, _, k3, k4, k5, k6 = distortion
+    above, below = (1 + r2 * (a + r2 * (b + r2 * c)) for a, b, c in ((k1, k2, k3), (k4, k5, k6)))
+    up, down = (a + r2 * (2 * b + r2 * 3 * c) for a, b, c in ((k1, k2, k3), (k4, k5, k6)))
+    return above / below, (up - above / below * down) / below
+
+
 def _slopes(points: F64, distortion: Distortion) -> tuple[F64, F64, F64]:
     """dx'/dx, dx'/dy (which equals dy'/dx) and dy'/dy of distort, each [N]."""
-    k1, k2, p1, p2 = distortion
+    p1, p2 = distortion[2:4]
     x, y = points[:, 0], points[:, 1]
-    r2 = x * x + y * y
-    radial, bend = 1 + k1 * r2 + k2 * r2 * r2, 2 * k1 + 4 * k2 * r2
+    radial, slope = _radial(x * x + y * y, distortion)
+    bend = 2 * slope
     return (
         radial + x * x * bend + 2 * p1 * y + 6 * p2 * x,
         x * y * bend + 2 * p1 * x + 2 * p2 * y,
@@ -88,7 +96,8 @@ def undistorted_camera(where: Path | str, camera: Camera, distortion: Distortion
     low = np.array([inside(zero, edge, 0).max(), inside(edge, zero, 1).max()])
     high = np.array([inside(one, edge, 0).min(), inside(edge, one, 1).min()])
     zoom = float(((high - low) * focal / size).min())
-    problem = f"the distortion k1, k2, p1, p2 = {', '.join(f'{v:g}' for v in distortion)} "
+    named = {name: value for name, value in zip(COEFFICIENTS, distortion, strict=True) if value}
+    problem = f"the distortion {', '.join(named)} = {', '.join(f'{v:g}' for v in named.values())} "
     advice = "check the coefficients, or undistort the images beforehand (colmap image_undistorter)"
     if not ZOOM_MIN <= zoom <= ZOOM_MAX:
         problem += "cannot be undone over the whole image, or changes the field of view more than"

@@ -7,16 +7,29 @@ PhotographError.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..files.text import counted
+from ..folder.georeference import far_offset
+from ..rendering.camera import moved
 from .cameras import F64, U8, UNDISTORTED, Camera, PhotographError, Shot
-from .colmap import find_model, read_colmap
-from .images import Size, image_size, parse_background, parse_size, read_image, same_aspect, shrink, wanted_size
+from .colmap import find_models, read_colmap
+from .images import (
+    Size,
+    image_size,
+    is_transparent,
+    parse_background,
+    parse_size,
+    read_image,
+    same_aspect,
+    shrink,
+    wanted_size,
+)
 from .lens import undistorted_camera, undistorted_image
 from .transforms import is_transforms, read_transforms
 
@@ -34,8 +47,12 @@ __all__ = [
 TEST_EVERY = 8
 Colour = tuple[int, int, int]
 
-# Background of transparent photographs, as in 3DGS: white for NeRF folders, black for others.
+# The background: white if a photograph is transparent, as in 3DGS for NeRF's synthetic scenes, and else black.
 WHITE, BLACK = (255, 255, 255), (0, 0, 0)
+# Points are outliers beyond so many times the size of the scene: the median distance of the cameras from their middle,
+# or the distance from there of this share of the points, if that is more. So a sky of many points is none.
+OUTLYING, BULK = 100, 0.95
+MASKS = "masks"
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +87,8 @@ class PhotographSet:
     """Photographs for training and held-out ones, both in order of their names, and the points of the scene.
 
     points: float64 [M, 3], world units. colours: uint8 [M, 3], RGB. skipped: number of images without pose.
-    background: that of transparent images. random: whether the points were drawn at random.
+    background: that of transparent images. random: whether the points were drawn at random. notes: what was chosen,
+    ignored or left out.
     """
 
     train: tuple[Photograph, ...]
@@ -80,6 +98,29 @@ class PhotographSet:
     skipped: int
     background: Colour
     random: bool = False
+    notes: tuple[str, ...] = ()
+
+    @property
+    def centres(self) -> F64:
+        """The places of all cameras, float64 [n, 3], world units."""
+        return np.array([p.camera.centre for p in (*self.train, *self.test)])
+
+    def offset(self) -> F64:
+        """Returns what to subtract from all places so that float32 can hold them, float64 [3] (far_offset)."""
+        return far_offset(np.concatenate([self.centres, self.points]))
+
+    def moved(self, offset: F64) -> PhotographSet:
+        """Returns the photographs at places from which an offset is subtracted, float64 [3]."""
+        if not offset.any():
+            return self
+        train, test = (
+            tuple(
+                replace(p, camera=camera)
+                for p, camera in zip(some, moved([p.camera for p in some], offset), strict=True)
+            )
+            for some in (self.train, self.test)
+        )
+        return replace(self, train=train, test=test, points=self.points - offset)
 
     @property
     def pixels(self) -> int:
@@ -102,9 +143,9 @@ def read_photographs(
     """Reads the photographs of a COLMAP or NeRF folder. If it is both, COLMAP is used, because it has points.
 
     size: (width, height) or the longest side in pixels to which images are averaged down, None for their own.
-    background: that of transparent images, 0 to 255, None for white in NeRF folders and black in COLMAP folders. seed:
-    for random points if the folder has none (transforms.random_points). holdout: the period of held-out images, 0 for
-    none.
+    background: that of transparent images, 0 to 255, None for white if one is transparent, and else black. seed: for
+    random points if the folder has none (transforms.random_points). holdout: the period of held-out images, 0 for none.
+    Of several COLMAP models, that of the most images is read. Points far from all others are left out.
 
     Images with index % holdout == 0 by name are held out, unless the folder has its own split. The headers of all
     images are read here, their pixels on request, with errors raised then. Raises PhotographError.
@@ -115,9 +156,11 @@ def read_photographs(
             folder, "the folder does not exist", "give a folder with COLMAP's or NeRF's cameras and their images"
         )
     try:
-        random = False
-        if model := find_model(folder):
-            shots, points, colours, skipped = read_colmap(folder, model, size)
+        random, notes = False, []
+        if models := find_models(folder):
+            shots, points, colours, skipped = read_colmap(folder, models[0][1], size)
+            for count, other in models[1:]:
+                notes.append(f"{other} with {count} images is not used: {models[0][1]} has {models[0][0]}")
             test_shots = None
         elif is_transforms(folder):
             shots, test_shots, points, colours, skipped, random = read_transforms(folder, seed)
@@ -135,13 +178,33 @@ def read_photographs(
             raise PhotographError(
                 folder, f"no image is left for training: {len(test_shots)} are held out", "give two images or more"
             )
-        over = background or (BLACK if model else WHITE)
+        over = background or (WHITE if any(is_transparent(shot.path) for shot in (*shots, *test_shots)) else BLACK)
+        if (folder / MASKS).is_dir():
+            notes.append(f"{folder / MASKS} is not used: make pixels transparent to exclude them")
         train, test = _photographs(shots, size, over), _photographs(test_shots, size, over)
     except OSError as error:
         raise PhotographError(
             error.filename or folder, f"it cannot be read ({error.strerror})", "check the file and its permissions"
         ) from None
-    return PhotographSet(train, test, points, colours, skipped, over, random)
+    made = PhotographSet(train, test, points, colours, skipped, over, random)
+    near, more = far_points(points, made.centres)
+    return replace(made, points=points[near], colours=colours[near], notes=(*notes, *more))
+
+
+def far_points(points: F64, centres: F64) -> tuple[NDArray[np.bool_], list[str]]:
+    """Returns whether points [M, 3] belong to a scene with cameras at centres [n, 3], bool [M], and a note if not all.
+
+    Reconstructions have a few points that are far from all others. They would decide the extent of the scene.
+    """
+    if not len(points):
+        return np.ones(0, bool), []
+    with np.errstate(over="ignore"):
+        middle = np.median(centres, axis=0)
+        away, around = (np.linalg.norm(places - middle, axis=1) for places in (points, centres))
+    size = max(float(np.median(around)), float(np.quantile(away, BULK, method="lower")))
+    near = (away <= OUTLYING * size) | (size == 0)
+    text = f"{counted(int((~near).sum()), 'point')} of {len(points)} left out, up to {away.max():.3g} units away: "
+    return near, [] if near.all() else [f"{text}more than {OUTLYING} times the size of the scene"]
 
 
 def _photographs(shots: Iterable[Shot], size: Size, background: Colour) -> tuple[Photograph, ...]:

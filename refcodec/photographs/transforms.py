@@ -15,10 +15,12 @@ from msgspec import Struct
 from ..files.documents import DocumentError, FieldError, checked, read_json
 from ..files.ply import names_of, read_ply
 from .cameras import (
+    COEFFICIENTS,
     F64,
     U8,
     Camera,
     Distortion,
+    Names,
     PhotographError,
     Shot,
     check_intrinsics,
@@ -31,9 +33,7 @@ from .images import image_size
 SINGLE, TRAIN, TEST = "transforms.json", "transforms_train.json", "transforms_test.json"
 # Suffixes tried in turn after a file_path, which has none in Blender's files.
 SUFFIXES = ("", ".png", ".jpg", ".jpeg", ".JPG", ".PNG")
-MODELS = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")
-# Coefficients of models that are not supported.
-HIGHER = ("k3", "k4", "k5", "k6")
+MODELS = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV")
 POINT_FILES = ("points3d.ply", "points3D.ply")
 # The number of initial points of 3DGS for NeRF's synthetic scenes.
 RANDOM_POINTS = 100_000
@@ -102,7 +102,7 @@ def read_transforms(folder: Path, seed: int) -> tuple[list[Shot], list[Shot] | N
         raise PhotographError(folder, "no image has a pose", "give the frames a transform_matrix")
     named = document.get("ply_file_path")
     if named is not None:
-        places = [_inside(str(folder / name), folder, "ply_file_path", named)]
+        places = [Names(folder).file(folder / name, "ply_file_path", str(named))]
     else:
         places = [folder / name for name in POINT_FILES]
     place = next((p for p in places if there(p)), None)
@@ -126,7 +126,7 @@ def _document(file: Path) -> dict[str, Any]:
 
 def _frames(file: Path, document: dict[str, Any]) -> tuple[list[Shot], int]:
     """Returns the posed images of a file in order of their names, and the number of frames without pose."""
-    shots, skipped = [], 0
+    shots, skipped, found = [], 0, Names(file.parent)
     names: set[str] = set()
     shared = {name: value for name, value in document.items() if name != "frames"}
     for index, stated in enumerate(document["frames"]):
@@ -142,7 +142,7 @@ def _frames(file: Path, document: dict[str, Any]) -> tuple[list[Shot], int]:
         if frame.mask_path is not None:
             advice = "remove mask_path, and cut out what should not be seen as transparency of the images"
             raise PhotographError(where, "it has a mask_path, but masks are not supported", advice)
-        shot = _shot(where, file.parent, frame)
+        shot = _shot(where, found, frame)
         if shot.camera.name in names:
             raise PhotographError(where, f"two images are named {shot.camera.name!r}", "give each image its own name")
         names.add(shot.camera.name)
@@ -150,28 +150,12 @@ def _frames(file: Path, document: dict[str, Any]) -> tuple[list[Shot], int]:
     return sorted(shots, key=lambda s: s.camera.name), skipped
 
 
-def _inside(where: str, folder: Path, key: str, stated: object) -> Path:
-    """Returns the file that a document names. Raises PhotographError for one outside the folder.
-
-    Otherwise an untrusted document could put any picture of this machine into a scene or a page.
-    """
-    path = PurePosixPath(str(stated))
-    if not path.parts or ".." in path.parts or path.is_absolute():
-        raise PhotographError(
-            where,
-            f"the {key} {str(stated)!r:.200} does not name a file in the folder",
-            "names are relative to the folder of the document: move it to the folder that has the images",
-        )
-    return folder / str(stated)
-
-
-def _shot(where: str, folder: Path, frame: TransformsFrame) -> Shot:
-    stem = _inside(where, folder, "file_path", frame.file_path)
-    # A dangling link is the file that is meant, and it is missing.
-    places = [folder / f"{frame.file_path}{suffix}" for suffix in SUFFIXES]
-    path = next((p for p in places if p.is_file() or (p.is_symlink() and not p.is_dir())), stem)
+def _shot(where: str, folder: Names, frame: TransformsFrame) -> Shot:
+    places = (folder.file(where, "file_path", f"{frame.file_path}{suffix}") for suffix in SUFFIXES)
+    path = next((p for p in places if p.is_file() or (p.is_symlink() and not p.is_dir())), None)
+    path = path or folder.folder / frame.file_path
     # The name of an image is also that of its output file.
-    name = "/".join(PurePosixPath(frame.file_path).parts)
+    name = "/".join(PurePosixPath(frame.file_path.replace("\\", "/")).parts)
     # Some programs write sides as 800.0. Missing ones are those of the image.
     sides = [own if side is None else side for side, own in zip((frame.w, frame.h), image_size(path), strict=True)]
     for key, side in zip("wh", sides, strict=True):
@@ -193,11 +177,7 @@ def _distortion(where: str, frame: TransformsFrame) -> Distortion:
     if model not in (*MODELS, "PERSPECTIVE") or frame.is_fisheye:
         model = "fisheye" if model in MODELS else f"{model!s:.60}"
         raise PhotographError(where, f"the camera model {model} {supported}", "undistort the images beforehand")
-    for key in HIGHER:
-        if value := getattr(frame, key):
-            problem = f"{key} is {value}: the camera model FULL_OPENCV {supported}"
-            raise PhotographError(where, problem, "undistort the images beforehand")
-    return (frame.k1 or 0.0, frame.k2 or 0.0, frame.p1 or 0.0, frame.p2 or 0.0)
+    return tuple(getattr(frame, name) or 0.0 for name in COEFFICIENTS)
 
 
 def _focal(where: str, frame: TransformsFrame, width: int, height: int) -> tuple[float, float]:

@@ -111,6 +111,11 @@ class Camera:
         return replace(self, width=width, height=height, fx=self.fx * x, fy=self.fy * y, cx=self.cx * x, cy=self.cy * y)
 
 
+def moved(cameras: Sequence[Camera], offset: F64) -> list[Camera]:
+    """Returns cameras at places from which an offset is subtracted, float64 [3], world units."""
+    return [replace(camera, translation=camera.translation + camera.rotation @ offset) for camera in cameras]
+
+
 def _point(name: str, value: ArrayLike) -> F64:
     """Returns a point or a direction, float64 [3]. Raises ValueError."""
     point = np.asarray(value, np.float64)

@@ -6,14 +6,17 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..bitstream.cameras import NamedCamera, cameras
 from ..bitstream.dimensions import RENDERING
 from ..bitstream.header import PositionGrid, RenderInfo
+from ..bitstream.metadata import metadata
 from ..bitstream.networks import Layer
 from ..bitstream.reconstruction import Reconstruction, reconstruct
 from ..encoder.cloud import AnchorCloud
 from ..files.ply import PlyError, property_names
+from ..folder.georeference import stated_offset
 from ..folder.layout import NETWORKS_FILE, PLY_FILE, RENDER_FILE, SCENE_FILE, there
 from ..folder.read import read_folder
 from ..folder.uncompressed import is_uncompressed, read_uncompressed
@@ -30,7 +33,7 @@ class Given:
     voxel: edge of the lattice of their positions, world units; None if it is not known. grid: that of the coded scene
     that they come from. networks: the rendering networks of SPEC 14.3; None where features 0 to 2 are logits of colour,
     as voxelise makes them. render: SPEC 6.5. cameras: those that it states. base_step: of features, scalings and
-    offsets; None to choose them.
+    offsets; None to choose them. offset: subtracted from all places, float64 [3]. notes: what was changed or left out.
     """
 
     cloud: AnchorCloud
@@ -40,6 +43,8 @@ class Given:
     render: RenderInfo = field(default_factory=RenderInfo)
     cameras: tuple[NamedCamera, ...] = ()
     base_step: tuple[float, float, float] | None = None
+    offset: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
+    notes: tuple[str, ...] = ()
 
 
 def read_given(path: str | Path, voxel: float | None = None) -> Given:
@@ -56,7 +61,7 @@ def read_given(path: str | Path, voxel: float | None = None) -> Given:
         return _read_scene(_folder_of(path), voxel)
     points = read_points(path)
     voxel = voxel or default_voxel(points.points)
-    return Given(voxelise(points.points, points.colours, voxel), voxel)
+    return Given(voxelise(points.points, points.colours, voxel), voxel, offset=points.offset, notes=points.notes)
 
 
 def _is_scaffold(cloud: Path) -> bool:
@@ -92,8 +97,8 @@ def _read_scene(folder: Path, voxel: float | None) -> Given:
     networks = {name: scene.networks[name] for name in RENDERING}
     grid = None if voxel else scene.grid
     check_view_dependent(scene.render)
-    stated = tuple(cameras(scene.ancillary))
-    return Given(_cloud(reconstruct(scene), scene.masks), voxel, grid, networks, scene.render, stated)
+    stated, offset = tuple(cameras(scene.ancillary)), stated_offset(metadata(scene.ancillary))
+    return Given(_cloud(reconstruct(scene), scene.masks), voxel, grid, networks, scene.render, stated, offset=offset)
 
 
 def _cloud(values: Reconstruction, masks: np.ndarray) -> AnchorCloud:

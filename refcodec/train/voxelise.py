@@ -18,6 +18,7 @@ from scipy.spatial import cKDTree
 from ..bitstream.dimensions import Dimensions
 from ..bitstream.networks import Layer
 from ..encoder.cloud import AnchorCloud
+from ..folder.georeference import far_offset
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -36,20 +37,26 @@ BLOCK = 16384
 
 @dataclass(frozen=True, eq=False)
 class PointCloud:
-    """points: float32 [M, 3] in world units; colours: uint8 [M, 3], RGB."""
+    """points: float32 [M, 3] in world units; colours: uint8 [M, 3], RGB.
+
+    offset: subtracted from the points, float64 [3]. notes: what was changed or left out.
+    """
 
     points: F32
     colours: NDArray[np.uint8]
+    offset: F64
+    notes: tuple[str, ...] = ()
 
 
 def read_points(path: str | Path) -> PointCloud:
     """Points of COLMAP (points3D.txt or .bin), of a PLY file, or an npz with `means3d` and `colors`, [M, 3] each.
 
     The colours of an npz are integers from 0 to 255 or floats from 0 to 1, those of a PLY file uchar. Raises ValueError
-    for any other.
+    for any other. Points far from all others are left out.
     """
     # They need Pillow, which a fit of a scene does not.
     from ..photographs import colmap, transforms  # noqa: PLC0415
+    from ..photographs.photographs import far_points  # noqa: PLC0415
 
     path = Path(path)
     readers = {".txt": colmap.read_points, ".bin": colmap.read_points, ".ply": transforms.read_points}
@@ -58,11 +65,13 @@ def read_points(path: str | Path) -> PointCloud:
     stated, colours = (readers.get(path.suffix) or _read_archive)(path)
     if stated.shape != colours.shape or stated.ndim != 2 or stated.shape[1] != 3:
         raise ValueError(f"{path}: points {stated.shape} and colours {colours.shape} are not both [M, 3]")
-    with np.errstate(over="ignore"):
-        points: F32 = stated.astype(np.float32)
-    if not np.isfinite(points).all():
+    if not np.isfinite(stated).all():
         raise ValueError(f"{path}: a point is NaN or infinite")
-    return PointCloud(points, colours)
+    near, notes = far_points(stated, stated)
+    offset = far_offset(stated[near])
+    if offset.any():
+        notes.append(f"far from the world's origin for its size: {offset.tolist()} is subtracted from all places")
+    return PointCloud((stated[near] - offset).astype(np.float32), colours[near], offset, tuple(notes))
 
 
 def _read_archive(path: Path) -> tuple[NDArray[Any], NDArray[np.uint8]]:
@@ -70,7 +79,7 @@ def _read_archive(path: Path) -> tuple[NDArray[Any], NDArray[np.uint8]]:
         with np.load(path) as archive:
             if not {"means3d", "colors"} <= set(archive.files):
                 raise ValueError(f"it has the arrays {archive.files}, but needs means3d and colors")
-            return archive["means3d"].astype(np.float32), _eight_bits(archive["colors"])
+            return archive["means3d"].astype(np.float64), _eight_bits(archive["colors"])
     except (OSError, MemoryError):
         raise
     # NumPy, zipfile and zlib raise many types for bad bytes. All of them mean that the file cannot be read.

@@ -24,7 +24,10 @@ from PIL import Image
 from plyfile import PlyData, PlyElement
 from scipy.spatial.transform import Rotation
 
+from refcodec.bitstream.cameras import NamedCamera
+from refcodec.folder.georeference import georeference, stated_offset
 from refcodec.photographs import colmap, images, lens, transforms
+from refcodec.photographs.as_trained import scene_offset
 from refcodec.photographs.cameras import Camera, PhotographError, quaternion_rotation
 from refcodec.photographs.photographs import parse_background, parse_size, read_photographs
 
@@ -33,7 +36,15 @@ EXAMPLES = ROOT / "examples" / "photographs"
 WIDTH, HEIGHT, COUNT, POINTS = 40, 30, 10, 25
 PINHOLE = ("PINHOLE", WIDTH, HEIGHT, (35.5, 36.25, 20.5, 14.75))
 PARTS = ("cameras", "images", "points3D")
-MODEL_IDS = {"SIMPLE_PINHOLE": 0, "PINHOLE": 1, "SIMPLE_RADIAL": 2, "RADIAL": 3, "OPENCV": 4, "OPENCV_FISHEYE": 5}
+MODEL_IDS = {
+    "SIMPLE_PINHOLE": 0,
+    "PINHOLE": 1,
+    "SIMPLE_RADIAL": 2,
+    "RADIAL": 3,
+    "OPENCV": 4,
+    "OPENCV_FISHEYE": 5,
+    "FULL_OPENCV": 6,
+}
 
 
 # --- datasets ---------------------------------------------------------------------------------------------------------
@@ -188,6 +199,7 @@ def test_colmap_is_read_back(writer, place, tmp_path):
         ("SIMPLE_RADIAL", (35, 20, 15, 0), (35, 35, 20, 15)),
         ("RADIAL", (35, 20, 15, 0, 0), (35, 35, 20, 15)),
         ("OPENCV", (35, 36, 20, 15, 0, 0, 0, 0), (35, 36, 20, 15)),
+        ("FULL_OPENCV", (35, 36, 20, 15, 0, 0, 0, 0, 0, 0, 0, 0), (35, 36, 20, 15)),
     ],
 )
 def test_camera_models(writer, name, parameters, expected, tmp_path):
@@ -202,6 +214,85 @@ def test_names_in_folders_and_with_spaces(tmp_path):
     write_colmap(tmp_path, content=(cameras, rows, points))
     names = [p.camera.name for p in everything(read_photographs(tmp_path))]
     assert names == sorted(row[4] for row in rows)
+
+
+def renamed(old, new):
+    """The names of the model are others than those of the files."""
+
+    def rename(folder):
+        cameras, rows, points = model()
+        write_text(folder / "sparse/0", cameras, [(*row[:4], new(row[4]), row[5]) for row in rows], points)
+        shutil.rmtree(folder / "images")
+        write_images(folder / "images", [old(row[4]) for row in rows])
+
+    return rename
+
+
+def with_points(*places):
+    """The model has more points."""
+
+    def write(folder):
+        cameras, rows, points = model()
+        more = [(100 + i, np.array(place), np.zeros(3), 0.5, []) for i, place in enumerate(places)]
+        write_text(folder / "sparse/0", cameras, rows, [*points, *more])
+
+    return write
+
+
+@pytest.mark.parametrize(
+    ("made_so", "noted"),
+    [
+        (renamed(lambda name: f"Left/{name.upper()}", lambda name: f"left\\{name}"), []),
+        (renamed(str.upper, str), []),
+        (lambda folder: (folder / "masks").mkdir(), ["masks is not used: make pixels transparent"]),
+        (lambda folder: write_text(folder / "sparse/1", *model(3, seed=1)), ["1 with 3 images is not used"]),
+        (
+            lambda folder: [(folder / "sparse/0").rename(folder / "sparse/12"), write_colmap(folder, count=2, seed=1)],
+            ["0 with 2 images is not used", "12 has 10"],
+        ),
+        (with_points((1e3, 0, 0)), ["1 point of 26 left out, up to 1e+03 units away"]),
+        (with_points((0, -1e6, 0), (0, 9e7, 0)), ["2 points of 27 left out, up to 9e+07"]),
+        (with_points((0, 1e3, 0), (1, 1e3, 0), (2, 1e3, 0)), None),
+    ],
+)
+def test_folders_of_other_programs(made_so, noted, tmp_path):
+    """They are read as the plain folder is, and what was chosen or left out is said. A sky of many points stays."""
+    write_colmap(tmp_path)
+    plain = everything(read_photographs(tmp_path))
+    seen = [p.image for p in plain]
+    made_so(tmp_path)
+    taken = read_photographs(tmp_path)
+    for image, a, b in zip(seen, plain, everything(taken), strict=True):
+        np.testing.assert_array_equal(image, b.image)
+        np.testing.assert_array_equal(a.camera.translation, b.camera.translation)
+    if noted is None:
+        assert (len(taken.points), taken.notes) == (POINTS + 3, ())
+    else:
+        assert len(taken.points) == POINTS
+        assert all(words in " ".join(taken.notes) for words in noted)
+        assert bool(noted) == bool(taken.notes)
+
+
+def test_coordinates_of_a_map(tmp_path):
+    """An offset brings the cameras and points to the origin, and the numbers of the double coordinates stay."""
+    far = np.array([500_000.0, 5_400_000.0, 120.0])
+    cameras, rows, points = model()
+    write_colmap(tmp_path)
+    plain = read_photographs(tmp_path)
+    assert not plain.offset().any()
+    rows = [(i, q, t - quaternion_rotation("", q) @ far, *more) for i, q, t, *more in rows]
+    write_text(tmp_path / "sparse/0", cameras, rows, [(i, p + far, *more) for i, p, *more in points])
+    taken = read_photographs(tmp_path)
+    assert np.abs(taken.offset() - far).max() <= 2
+    moved = taken.moved(taken.offset())
+    shift = taken.offset() - far
+    np.testing.assert_allclose(moved.points, plain.points - shift, atol=1e-8)
+    np.testing.assert_allclose(moved.centres, plain.centres - shift, atol=1e-8)
+    assert stated_offset(georeference(taken.offset())).tolist() == taken.offset().tolist()
+    near, own = NamedCamera(translation=(0.5, 1.0, 0.0)), np.array([5e5, 5.4e6, 100.0])
+    assert scene_offset(taken, near, np.zeros(3)).tolist() == taken.offset().tolist()
+    assert scene_offset(taken, near, own).tolist() == own.tolist()
+    assert not scene_offset(plain, near, own).any()
 
 
 def test_binary_comes_before_text(tmp_path):
@@ -403,10 +494,11 @@ def test_shrinking_averages_areas(width, height):
 # --- distortion -------------------------------------------------------------------------------------------------------
 
 LENSES = {
-    "barrel": (-0.2, 0.05, 0.0, 0.0),
-    "pincushion": (0.15, 0.0, 0.0, 0.0),
-    "tangential": (0.0, 0.0, 0.01, -0.015),
-    "all": (-0.1, 0.02, -0.003, 0.004),
+    "barrel": (-0.2, 0.05, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+    "pincushion": (0.15, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+    "tangential": (0.0, 0.0, 0.01, -0.015, 0.0, 0.0, 0.0, 0.0),
+    "higher": (-0.1, 0.02, 0.0, 0.0, -0.05, 0.0, 0.0, 0.0),
+    "all": (-0.1, 0.02, -0.003, 0.004, 0.03, 0.02, -0.01, 0.02),
 }
 
 
@@ -420,8 +512,9 @@ def test_distortion_and_back(name):
 
 def test_distortion_by_hand():
     """x = 0.5, y = 0.25: r^2 = 0.3125."""
-    at = lens.distort(np.array([[0.5, 0.25]]), (0.1, 0.2, 0.01, 0.02))
-    radial = 1 + 0.1 * 0.3125 + 0.2 * 0.3125**2
+    at = lens.distort(np.array([[0.5, 0.25]]), (0.1, 0.2, 0.01, 0.02, 0.3, 0.4, 0.5, 0.6))
+    radial = 1 + 0.1 * 0.3125 + 0.2 * 0.3125**2 + 0.3 * 0.3125**3
+    radial /= 1 + 0.4 * 0.3125 + 0.5 * 0.3125**2 + 0.6 * 0.3125**3
     x = 0.5 * radial + 2 * 0.01 * 0.5 * 0.25 + 0.02 * (0.3125 + 2 * 0.25)
     y = 0.25 * radial + 0.01 * (0.3125 + 2 * 0.0625) + 2 * 0.02 * 0.5 * 0.25
     np.testing.assert_allclose(at, [[x, y]], rtol=1e-14)
@@ -450,7 +543,7 @@ def test_undistorted_spots_are_where_the_pinhole_camera_sees_them(name, size, tm
         [*np.meshgrid(np.linspace(-0.4, 0.4, 7), np.linspace(-0.3, 0.3, 5)), np.ones((5, 7))], axis=2
     ).reshape(-1, 3)
     # The camera stands in the world with a pose of its own.
-    content = model(2, ("OPENCV", 320, 240, (300.0, 310.0, 165.0, 117.0, *distortion)))
+    content = model(2, ("FULL_OPENCV", 320, 240, (300.0, 310.0, 165.0, 117.0, *distortion)))
     write_text(tmp_path / "sparse/0", *content)
     seen = lens.distort(points[:, :2], distortion) * (300, 310) + (165, 117)
     (tmp_path / "images").mkdir()
@@ -491,7 +584,8 @@ def test_every_undistorted_pixel_was_photographed(name):
 )
 def test_distortion_that_cannot_be_undone(tmp_path, distortion):
     write_colmap(tmp_path, camera=("OPENCV", WIDTH, HEIGHT, (25, 25, 20, 15, *distortion)))
-    refused(tmp_path, "the distortion k1, k2, p1, p2", "image_undistorter")
+    stated = [name for name, value in zip(("k1", "k2", "p1", "p2"), distortion, strict=True) if value]
+    refused(tmp_path, f"the distortion {', '.join(stated)} = ", "image_undistorter")
 
 
 # --- transforms.json --------------------------------------------------------------------------------------------------
@@ -643,12 +737,21 @@ def test_size_stated_for_larger_images(nerf):
 
 
 def test_distorted_transforms_are_undistorted(nerf):
-    change(nerf, lambda d: d.update(k1=-0.1, k2=0.01, p1=0.001, p2=-0.002))
+    change(nerf, lambda d: d.update(k1=-0.1, k2=0.01, p1=0.001, p2=-0.002, k3=0.003))
     camera = Camera("", 40, 30, *(20 / np.tan(0.4),) * 2, 20.0, 15.0, np.eye(3), np.zeros(3))
-    expected = lens.undistorted_camera("", camera, (-0.1, 0.01, 0.001, -0.002))
+    expected = lens.undistorted_camera("", camera, (-0.1, 0.01, 0.001, -0.002, 0.003, 0, 0, 0))
     photograph = read_photographs(nerf).train[0]
     np.testing.assert_allclose((photograph.camera.fx, photograph.camera.cx), (expected.fx, expected.cx))
     assert photograph.image.shape == (30, 40, 3)
+
+
+@pytest.mark.parametrize("make", [write_colmap, write_nerf])
+def test_the_background_is_that_of_the_pictures(make, tmp_path):
+    make(tmp_path)
+    assert read_photographs(tmp_path).background == (0, 0, 0)
+    file = next((tmp_path / "images").glob("*.png"))
+    Image.open(file).convert("RGBA").save(file)
+    assert read_photographs(tmp_path).background == (255, 255, 255)
 
 
 def test_transparent_images(nerf):
@@ -804,7 +907,7 @@ LINES = [
     ("images", "00.png\n\n", "00.png\n", "line 3", "2D points", "second line"),
     ("images", " 7 01.png", " seven 01.png", "line 4", "IMAGE_ID QW", "seven"),
     ("images", " 01.png", "", "line 4", "IMAGE_ID QW"),
-    ("images", "01.png", "../01.png", "'../01.png'", "relative to the image folder"),
+    ("images", "01.png", "../01.png", "'../01.png'", "names are relative to"),
     ("images", "01.png", "/01.png", "'/01.png'"),
     ("images", "01.png", "00.png", "two images are named '00.png'"),
     ("points3D", " 0.5 3 0 5 1", " 128 0.5 3 0 5 1", "points3D.txt, line 2", "a track has two"),
@@ -837,7 +940,7 @@ ENTRIES = [
     ("w", 40 * 2, None, "r_1.png", "not the same shape"),
     ("h", -30, None, "40 x -30"),
     ("cx", INF, None, "transforms.json", "a number is inf"),
-    ("k3", 0.1, None, "FULL_OPENCV is not supported", "supported models are"),
+    ("k3", -1e3, None, "the distortion k3 = -1000 ", "undistort the images"),
     ("camera_model", "OPENCV_FISHEYE", None, "OPENCV_FISHEYE is not supported", "PINHOLE"),
     ("camera_model", ["OPENCV"], None, "is not supported"),
     ("is_fisheye", True, None, "fisheye is not supported"),
