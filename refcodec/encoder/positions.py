@@ -27,8 +27,9 @@ from ..bitstream.positions import (
 from ..bitstream.scene import Scene, take_anchors
 from ..bitstream.tables import TOTAL, ModelSet, tables
 
-# The approximate largest coordinate in fp16 of a scene without a lattice.
-FP16_EXTENT = 1024.0
+# fp16 holds integers up to this exactly. Without a lattice, the approximate largest coordinate of a scene in fp16, and
+# that of positions far out: those beyond so many times the distance within which this share of all is.
+EXACT, FP16_EXTENT, FP16_MOST, FAR, SHARE = 2048, 1024.0, 60000.0, 4, 0.95
 
 
 def choose_grid(positions: F32, voxel: float | None = None) -> PositionGrid:
@@ -36,15 +37,20 @@ def choose_grid(positions: F32, voxel: float | None = None) -> PositionGrid:
 
     voxel: the edge of the lattice's voxels in world units, or None. With a voxel, the origin lies on the lattice near
     the middle, and fp16 holds the lattice exactly up to 2048 voxels from it. Without one, the largest coordinate is
-    about 1024 in fp16. Raises ValueError for NaN, infinity, and a voxel or a distance that the grid cannot hold.
+    about 1024 in fp16. Positions far out, such as a sky, decide nothing. Raises ValueError for NaN, infinity, and a
+    voxel or a distance that the grid cannot hold.
     """
     if not np.isfinite(positions).all():
         raise ValueError("a position is NaN or infinite")
     p = positions.astype(np.float64)
-    low, high = (p.min(axis=0), p.max(axis=0)) if len(p) else (np.zeros(3), np.zeros(3))
-    middle = (low + high) / 2
+    p = p if len(p) else np.zeros((1, 3))
+    low, high, median = p.min(axis=0), p.max(axis=0), np.median(p, axis=0)
+    middle, half, away = (low + high) / 2, float((high - low).max()) / 2, np.abs(p - median).max(axis=1)
+    reach, extent = float(np.quantile(away, SHARE)), half / FP16_EXTENT
+    if half > (EXACT * voxel if voxel else FAR * reach):
+        middle, extent = median, max(reach / FP16_EXTENT, float(away.max()) / FP16_MOST)
     # The bound on the grid's origin allows no smaller unit at this distance from the world's origin.
-    unit = voxel or max(float((high - low).max()) / 2 / FP16_EXTENT, float(np.abs(middle).max()) * 2.0**-21) or 1.0
+    unit = voxel or max(extent, float(np.abs(middle).max()) * 2.0**-21) or 1.0
     # A mantissa of 16 bits keeps scale_mantissa * P within 56 bits.
     fraction, exponent = math.frexp(unit)
     mantissa = round(fraction * 65536)
@@ -57,7 +63,8 @@ def choose_grid(positions: F32, voxel: float | None = None) -> PositionGrid:
     step = mantissa * 2.0**exponent
     origin = tuple(round(m / step) * mantissa << 24 for m in middle.tolist())
     if max(abs(o) for o in origin) >= ORIGIN_BOUND:
-        raise ValueError("the scene is too far from the world's origin for its size")
+        problem = f"its middle is {np.abs(middle).max():.3g} units from the world's origin, too far for its voxels of "
+        raise ValueError(f"{problem}{step:.3g}: subtract an offset from all positions, or choose larger voxels")
     return PositionGrid((origin[0], origin[1], origin[2]), mantissa, exponent)
 
 

@@ -89,6 +89,22 @@ def test_grid_without_a_voxel_uses_the_range_of_fp16(scale):
     assert np.abs(world - positions).max() <= 0.5 * unit
 
 
+@pytest.mark.parametrize("voxel", [2.0**-10, None])
+def test_a_sky_sets_no_grid(voxel):
+    """The bulk is as exact as without the few positions far out, on either side."""
+    bulk = np.random.default_rng(2).integers(-900, 900, (500, 3)) * 2.0**-10 + 3
+    positions = np.concatenate([bulk, [[40.0, 0.0, 3.0], [40.0, 9.0, 3.0]]]).astype(np.float32)
+    grid = choose_grid(positions, voxel)
+    unit, origin = (
+        grid.scale_mantissa * 2.0**grid.scale_exponent,
+        np.array(grid.origin) * 2.0 ** (grid.scale_exponent - 24),
+    )
+    world = to_fp16(positions, grid).astype(np.float64) * unit + origin
+    error = np.abs(world - positions).max(axis=1)
+    assert error[:-2].max() <= (0 if voxel else 2.0**-10)
+    assert error.max() < 0.02
+
+
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
 def test_positions_that_are_not_finite_are_refused(bad):
     positions = np.zeros((3, 3), np.float32)

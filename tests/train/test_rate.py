@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import copy
+
 import numpy as np
 import pytest
 import torch
 
 from refcodec.bitstream.codec import emit, parse
+from refcodec.bitstream.networks import derive_networks
 from refcodec.bitstream.reconstruction import world_positions
 from refcodec.bitstream.scene import Scene
 from refcodec.bitstream.weights import to_grid
@@ -101,6 +104,18 @@ def test_weights_end_on_grids(trained: Trainer, coded: Scene) -> None:
         for (weight, bias), (wanted, wanted_bias) in zip(drawn, coded.networks[name], strict=True):
             assert (weight == wanted).all()
             assert (bias == wanted_bias).all()
+
+
+def test_any_weights_fit_the_file(trained: Trainer) -> None:
+    """Networks that grew beyond SPEC 7.2's bounds are cut to them: nothing that was learned is lost."""
+    assert trained.rate is not None
+    model = copy.deepcopy(trained.rate.started())
+    with torch.no_grad():
+        for number, parameter in enumerate(model.coding_parameters()):
+            parameter.mul_(1e6 if number % 2 else 3e4)
+    for coarser in (0, 3):
+        model.set_grid(coarser)
+        assert {"hyper", "sarm", "carm.1"} <= derive_networks(model.networks()).keys()
 
 
 def test_the_file_shows_what_the_training_showed(trained: Trainer, coded: Scene, photographs: PhotographSet) -> None:

@@ -15,6 +15,7 @@ from refcodec.bitstream.cameras import cameras
 from refcodec.bitstream.codec import parse
 from refcodec.bitstream.metadata import metadata
 from refcodec.cli.main import main
+from refcodec.folder.georeference import stated_offset
 from refcodec.folder.read import read_folder
 from refcodec.folder.uncompressed import read_uncompressed
 from refcodec.photographs.photographs import PhotographSet
@@ -103,6 +104,30 @@ def test_command_errors(
 def test_what_is_missing(tmp_path: Path, refused: Callable[..., str]) -> None:
     for words in ([], ["photographs"], ["-o", tmp_path]):
         assert "train needs PHOTOGRAPHS and -o SCENE_DIR" in refused("train", *words)
+
+
+@pytest.mark.parametrize("rate", ["0.004", "0"])
+def test_coordinates_of_a_map(
+    rate: str, write_ball: Callable[..., object], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """An offset is subtracted and stated, and eval finds the place again, with or without the statement."""
+    write_ball("map", "RGB")
+    file, far = tmp_path / "map" / "transforms.json", (500_000.25, 5_400_000.5, 80.0)
+    document = json.loads(file.read_text())
+    for frame in document["frames"]:
+        for axis, shift in enumerate(far):
+            frame["transform_matrix"][axis][3] += shift
+    file.write_text(json.dumps(document))
+    scene, photographs = str(tmp_path / "scene"), str(tmp_path / "map")
+    words = ["--steps", "30", "--anchors", "300", "--lambda", rate, "--size", "48"]
+    assert main(["train", photographs, "-o", scene, *words]) == 0
+    assert "far from the world's origin for its size: [500000.0, 5400000.0, 80.0]" in capsys.readouterr().err
+    report = json.loads((tmp_path / "scene" / "training.json").read_text())
+    assert main(["eval", scene, photographs, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["mean"]["psnr_3dgs"] == pytest.approx(report["psnr"], abs=0.1)
+    if rate != "0":
+        stated = stated_offset(metadata(read_folder(Path(scene)).ancillary))
+        assert stated.tolist() == [500_000, 5_400_000, 80]
 
 
 SETTINGS = "from refcodec.cli.main import main\nmain(['train', '--print-settings'])"

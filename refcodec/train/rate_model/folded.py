@@ -20,6 +20,9 @@ from ..device import has_kernel
 from ..settings import EntropySettings
 from .units import grid_through, round_through
 
+# A row's share of SPEC 7.2's bounds at which it is cut: rounding to a coarse grid may add to it.
+FULL = 0.9
+
 
 class FoldedMlp(nn.Module):
     """An MLP on integer activations (SPEC 7.2), trained in parameters of order one.
@@ -146,10 +149,7 @@ class FoldedMlp(nn.Module):
 
     @torch.no_grad()
     def set_grid(self, coarser: int) -> None:
-        """Makes each row's weights and bias multiples of 2^coarser steps of its integers from now on (SPEC 7.2).
-
-        Raises networks.BoundError for a row that has none.
-        """
+        """Makes each row's weights and bias multiples of 2^coarser steps of its integers from now on (SPEC 7.2)."""
         self.gridded = False
         for i, (weight, bias) in enumerate(self.layers()):
             exponent = torch.from_numpy(coarser - derive_layer(weight, bias).exponent)
@@ -158,8 +158,21 @@ class FoldedMlp(nn.Module):
 
     @torch.no_grad()
     def layers(self) -> list[Layer]:
-        """The weights that SPEC 5.8 stores: float32 (weight [out, in], bias [out]) of each layer."""
+        """The weights that SPEC 5.8 stores: float32 (weight [out, in], bias [out]) of each layer.
+
+        Rows that reach SPEC 7.2's bounds, as extreme symbols make them, are first cut to half of these: other weights
+        cost bits, but a training would be lost.
+        """
         layers = []
+        for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+            before, after = self._ends(i)
+            row, own = (weight / before).abs() * after[:, None], bias.abs() * after
+            largest = torch.cat([row, torch.zeros_like(own)[:, None]], dim=1).amax(dim=1)
+            share = torch.maximum(largest / WEIGHT_MAX, (row.sum(dim=1) * ACTIVATION_MAX + own) / ACCUMULATOR_BOUND)
+            if bool((share > FULL).any()):
+                cut = torch.where(share > FULL, 2 * share, 1)
+                weight.div_(cut[:, None])
+                bias.div_(cut)
         for i in range(self.hidden + 1):
             weight, bias = (value.cpu().numpy() for value in self._layer(i, slice(None)))
             layers.append((weight, bias))
