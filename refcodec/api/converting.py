@@ -139,10 +139,10 @@ def _convert_model(source: Path, output: Path, words: ConvertWords) -> Report:
     return Report([line, hint], {"anchors": count}, notes)
 
 
-def _cameras(source: Path, file: kinds.StrPath | None, size: str) -> list[Camera]:
+def _cameras(source: Path, file: kinds.StrPath | None, size: str, notes: list[str]) -> list[Camera]:
     """Returns the cameras of a file or folder, or those beside a splat file; none if there are none.
 
-    size: of photographs.
+    size: of photographs. notes: receives what is not used.
     """
     from ..convert.notes import CAMERAS_FILE
     from ..convert.pictures import stated_cameras
@@ -150,7 +150,7 @@ def _cameras(source: Path, file: kinds.StrPath | None, size: str) -> list[Camera
     from .opening import open
 
     if file is None or not (Path(file).is_dir() or Path(file).suffix.lower() == _C3GS):
-        return stated_cameras(source, file)
+        return stated_cameras(source, file, notes.append)
     place = Path(file)
     if (place / CAMERAS_FILE).is_file():
         return stated_cameras(source, place / CAMERAS_FILE)
@@ -182,8 +182,9 @@ def _convert_fast(source: Path, output: Path, words: ConvertWords) -> Report:
     if output.suffix.lower() != _C3GS:
         raise UsageError(f"{output} must end in {_C3GS}: --fast writes a file, not a scene folder")
     notes: list[str] = []
-    up, size = up_of(source, words.get("up")), words.get("size") or str(fast.SIDE)
-    cameras = _cameras(source, words.get("cameras"), size)
+    size = words.get("size") or str(fast.SIDE)
+    cameras = _cameras(source, words.get("cameras"), size, notes)
+    up = up_of(source, words.get("up"), cameras)
     splats, offset = read_located(source, kinds.place(words.get("offset")), notes.append)
     cameras = moved(cameras, offset)
     note_compiling()
@@ -239,8 +240,8 @@ def _train(source: Path, output: Path, words: ConvertWords) -> Report:
     drawn = not (resume and kept and kept.is_dir())
     if kept and drawn:
         check_pictures(kept, output)
-    cameras = _cameras(source, words.get("cameras"), settings.size)
     views, notes = words.get("views") or _VIEWS, list[str]()
+    cameras = _cameras(source, words.get("cameras"), settings.size, notes)
     splats, offset = read_located(source, kinds.place(words.get("offset")), notes.append)
     cameras = moved(cameras, offset)
     note_compiling()
@@ -251,9 +252,8 @@ def _train(source: Path, output: Path, words: ConvertWords) -> Report:
             folder = beside.enter_context(folder_beside((kept or output).absolute().parent)) / "pictures"
             with errors_of(kept or output), progress_bar(words) as show:
                 folder.mkdir()
-                draw_pictures(
-                    splats, cameras, folder, up_of(source, up), settings.size, views, settings.background, show
-                )
+                above = up_of(source, up, cameras)
+                draw_pictures(splats, cameras, folder, above, settings.size, views, settings.background, show)
         # The pictures have their own split.
         photographs = stated_photographs(folder, settings.size, settings.background, settings.holdout)
         report = run_training(

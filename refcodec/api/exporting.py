@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Unpack
 
-from ..export import DEGREE, ITERATIONS, VIEWERS
-from ..files.outputs import check_apart
+from ..export import DEGREE, ITERATIONS
+from ..files.outputs import check_apart, check_file
 from ..files.stage import Stage, write_file
 from ..files.text import counted
 from ..statuses import UsageError
@@ -77,10 +78,11 @@ def export(
       - else the cameras of FILE, if there are 8 or more; train keeps 16, spread as far as possible
       - else 64 cameras around the scene, where its networks were not trained
 
-    Viewers of splats add 0.3 square pixels to each Gaussian. The fit is made for them. The command reports the PSNR of
-    the splat in dB as they draw it, on views that the fit did not use. With cameras of FILE, these lie between each
-    camera and its nearest.
+    The command reports the PSNR of the splat in dB, measured on views that the fit did not use. With cameras of FILE,
+    these lie between each camera and its nearest.
     Gaussians that contribute less than a tenth of a pixel to every view are dropped.
+    Beside the splats stands a cameras.json as 3DGS writes it, from which `refcodec convert` measures: the cameras of
+    --cameras, or those of FILE if there are 8 or more. No other file is replaced by it.
     The fit and .sog need: pip install 'refcodec[render]'.
 
     A static scene can be carried in a .glb as it is: --glb c3gs writes FILE itself by the extension
@@ -121,7 +123,7 @@ def export(
     _check_splats(file, paths, _PAGE)
     if words.get("spz_bits") is not None and not any(path.suffix.lower() == ".spz" for path in paths):
         raise UsageError("--spz-bits applies only to .spz outputs: omit it")
-    return _write_splats(_shown(file, words), paths, words)
+    return _write_splats(_shown(file, words), paths, words, beside=True)
 
 
 def _shown(file: kinds.Place | Scene, words: ExportWords) -> Shown:
@@ -160,8 +162,11 @@ def _check_splats(file: object, paths: list[Path], *others: str) -> None:
     check_outputs([file], *((path, FORMATS[suffix].kind) for path, suffix in files if suffix))
 
 
-def _write_splats(shown: Shown, paths: list[Path], words: ExportWords) -> Report:
-    """Writes the Gaussians of a scene: those of a static scene as they are, or those of a fit."""
+def _write_splats(shown: Shown, paths: list[Path], words: ExportWords, beside: bool = False) -> Report:
+    """Writes the Gaussians of a scene: those of a static scene as they are, or those of a fit.
+
+    beside: whether cameras are written beside them.
+    """
     from ..bitstream.dimensions import STATIC
     from ..folder.places import progress_bar
     from ..formats.common import BITS, Options
@@ -175,14 +180,10 @@ def _write_splats(shown: Shown, paths: list[Path], words: ExportWords) -> Report
             if words.get(word) is not None:
                 raise UsageError(f"{shown.name} is a static scene, which needs no fit: omit --{word}")
         splats, measure, views = static_splats(shown.coded()), None, ""
-        if abs((own := shown.render.low_pass) - VIEWERS) > 1e-3:
-            shown.remark(
-                f"viewers of splats add {VIEWERS} square pixels to a Gaussian, this scene is made for {own:.3g}: they "
-                "show it otherwise, most of all in small pictures (docs/programs.md)"
-            )
+        cameras = _own_cameras(shown)
         count = counted(len(splats.mean), "Gaussian")
     else:
-        splats, kept, measure, views = _fit(shown, paths, words)
+        splats, kept, measure, views, cameras = _fit(shown, paths, words)
         count = f"{len(splats.mean):,} of {kept:,} Gaussians"
     bits, suffixes = words.get("spz_bits") or BITS, [suffix_of(path) or "" for path in paths]
     with refusing(f"{shown.name} cannot be exported"), progress_bar(words) as show:
@@ -194,19 +195,53 @@ def _write_splats(shown: Shown, paths: list[Path], words: ExportWords) -> Report
     for number, (path, file) in enumerate(zip(paths, files, strict=True)):
         size, *more = _sizes(path, splats, file, shown, bits)
         lines += [f"{path}: {count}, degree {splats.degree}, {size}", *more]
-        lines += [f"PSNR to the scene, in viewers: {near[number]:.2f} dB over {views}"] if measure else []
+        lines += [f"PSNR to the scene: {near[number]:.2f} dB over {views}"] if measure else []
     with Stage() as stage:
         for path, file in zip(paths, files, strict=True):
             stage.write(path, file)
+        for place, data, line in _cameras_beside(paths, cameras) if beside else ():
+            lines.append(line)
+            if data:
+                stage.write(place, data)
     return Report(lines, {"splats": read_only(splats), "psnr": near})
+
+
+def _own_cameras(shown: Shown) -> list[Camera]:
+    """Returns the cameras of a scene if they show from where it is viewed."""
+    from ..export.views import FEW
+    from ..rendering.camera import default_camera
+
+    return [replace(default_camera(c), name=c.name) for c in shown.cameras] if len(shown.cameras) >= FEW else []
+
+
+def _cameras_beside(paths: list[Path], cameras: Sequence[Camera]) -> Iterator[tuple[Path, bytes, str]]:
+    """Yields the cameras.json of each folder of splats: its place, its content, empty if it must stay, and a line."""
+    from ..convert.notes import CAMERAS_FILE, WRITTEN, cameras_json, read_cameras_of
+
+    for folder in dict.fromkeys(path.parent for path in paths) if cameras else ():
+        place, names = folder / CAMERAS_FILE, [path.name for path in paths if path.parent == folder]
+        try:
+            check_file(place, WRITTEN)
+            others = read_cameras_of(place)[1] if place.is_file() and place.stat().st_size else []
+            held = [name for name in others if name not in names and (folder / name).exists()]
+            problem = f"it is of {', '.join(held)}" if held else ""
+        except UsageError as error:
+            problem = str(error)
+        if problem:
+            hint = "the cameras of the scene are for `refcodec convert --cameras FILE`"
+            yield place, b"", f"{place} is not replaced ({problem}): {hint}"
+        else:
+            line = f"{place}: {counted(len(cameras), 'camera')}, from which `refcodec convert` measures"
+            yield place, cameras_json(cameras, names), line
 
 
 def _fit(
     shown: Shown, paths: list[Path], words: ExportWords
-) -> tuple[Splats, int, Callable[[Splats, Progress], float], str]:
+) -> tuple[Splats, int, Callable[[Splats, Progress], float], str, Sequence[Camera]]:
     """Returns Gaussians that are fitted to views, and the number that the scene keeps.
 
-    Also returns a function that measures the PSNR of written Gaussians to the scene, in dB, and its views in words.
+    Also returns a function that measures the PSNR of written Gaussians to the scene, in dB, its views in words, and the
+    cameras from which people look.
     """
     from ..export.fit import agreement, fit
     from ..export.views import Views, sized, views_of
@@ -218,6 +253,7 @@ def _fit(
     note_compiling()
     view, cameras = View(shown.scene), words.get("cameras")
     if cameras is None:
+        stated: Sequence[Camera] = _own_cameras(shown)
         views = views_of(view, shown.cameras)
         if len(views.fit) and "around" in views.source:
             shown.remark(f"the views are {views.source}; --cameras PHOTOGRAPHS fits to cameras of photographs instead")
@@ -225,6 +261,7 @@ def _fit(
         pictured, notes = shown.photographs(cameras, {"size": words.get("size")})
         shown.remark(*notes)
         check_apart(paths, pictured.places())
+        stated = [p.camera for p in (*pictured.train, *pictured.test)]
         train, test = ([sized(p.camera) for p in some] for some in (pictured.train, pictured.test))
         views = Views(train or test, test or train, f"{len(train)} cameras of photographs")
     else:
@@ -232,6 +269,7 @@ def _fit(
             check_camera(camera)
         if not cameras:
             raise UsageError("cameras is empty: give some, or None for those of the file")
+        stated = cameras
         views = Views([*map(sized, cameras)], [*map(sized, cameras)], counted(len(cameras), "camera"))
     degree, iterations = words.get("degree"), words.get("iterations")
     with progress_bar(words) as show, refusing(f"{shown.name} cannot be exported"):
@@ -241,7 +279,7 @@ def _fit(
     def measure(splats: Splats, show: Progress) -> float:
         return agreement(view, splats, views.test, show)
 
-    return fitted.splats, fitted.of, measure, f"{len(views.test)} views, fitted to {views.source}"
+    return fitted.splats, fitted.of, measure, f"{len(views.test)} views, fitted to {views.source}", stated
 
 
 def _sizes(path: Path, splats: Splats, file: bytes, shown: Shown, bits: int) -> list[str]:

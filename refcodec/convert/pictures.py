@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,18 +13,21 @@ from ..bitstream.batches import Progress
 from ..formats.splats import Splats
 from ..formats.table import splats_up
 from ..photographs.images import parse_background, parse_size
-from ..rendering.camera import Camera
+from ..rendering.camera import Camera, level_up
 from ..statuses import UsageError
 from . import views
-from .notes import CAMERAS_FILE, read_cameras
+from .notes import CAMERAS_FILE, read_cameras, read_cameras_of
 
 F64 = NDArray[np.float64]
 
 
-def stated_cameras(source: Path, file: str | os.PathLike[str] | None) -> list[Camera]:
+def stated_cameras(
+    source: Path, file: str | os.PathLike[str] | None, note: Callable[[str], None] = lambda text: None
+) -> list[Camera]:
     """Returns the cameras of a cameras.json: the given file, or that of the splat's model; else none.
 
-    3DGS writes it beside its folder point_cloud. Raises UsageError.
+    3DGS writes it beside its folder point_cloud. One that `export` wrote beside other splats is none. note: receives
+    that. Raises UsageError.
     """
     if file is not None:
         cameras = read_cameras(Path(file))
@@ -33,12 +37,18 @@ def stated_cameras(source: Path, file: str | os.PathLike[str] | None) -> list[Ca
     beside = [source.parent / CAMERAS_FILE]
     if source.parent.parent.name == "point_cloud":
         beside.append(source.parent.parent.parent / CAMERAS_FILE)
-    return next((cameras for cameras in map(read_cameras, beside) if cameras), [])
+    for place in beside:
+        cameras, names = read_cameras_of(place)
+        if cameras and names and source.name not in names:
+            note(f"refcodec: {place} is of {', '.join(names)}: --cameras {place} uses it for {source.name}")
+        elif cameras:
+            return cameras
+    return []
 
 
-def up_of(source: Path, up: str | None) -> F64:
-    """Returns the up direction of splats: that of an axis such as +z, or of the file."""
-    return views.AXES[up] if up else splats_up(source)
+def up_of(source: Path, up: str | None, cameras: Sequence[Camera] = ()) -> F64:
+    """Returns the up direction of splats: that of an axis such as +z, of the file, or of their cameras; else -y."""
+    return views.AXES[up] if up else splats_up(source, level_up(cameras))
 
 
 def chosen_cameras(cameras: list[Camera], splats: Splats, up: F64, size: str, count: int) -> dict[str, list[Camera]]:

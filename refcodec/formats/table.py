@@ -143,14 +143,16 @@ def _checked(splats: Splats) -> Splats:
     return Splats(**arrays)
 
 
-def splats_up(file: Path) -> NDArray[np.float64]:
-    """Returns the up axis of a splat file, a unit vector, float64 [3]: the stated one, or -y as in 3DGS files.
+def splats_up(file: Path, unstated: F64 | None = None) -> F64:
+    """Returns the up axis of a splat file, a unit vector, float64 [3].
 
-    Raises SceneFolderError, and OSError.
+    unstated: that of a file of a format without one, None for -y as in 3DGS files. Raises SceneFolderError, and OSError.
     """
     read_up = FORMATS[suffix].read_up if (suffix := suffix_of(file)) else None
     with errors_in(file):
-        return read_up(mapped(file)) if read_up else Options().up
+        if read_up:
+            return read_up(mapped(file))
+        return Options().up if unstated is None else unstated
 
 
 def write_splats(splats: Splats, suffix: str, options: Options | None = None) -> bytes:
