@@ -300,7 +300,8 @@ def _sizes(path: Path, splats: Splats, file: bytes, shown: Shown, bits: int) -> 
 def _carried(file: kinds.Place | Scene, paths: list[Path], words: ExportWords) -> Report:
     """Writes a GLB file that contains a static scene as C3GS, or the C3GS file that a GLB file contains."""
     from ..folder.places import C3GS, check_outputs, shown_name
-    from ..formats.glb import check_colours, glb_bytes
+    from ..formats.common import check_colours
+    from ..formats.glb import glb_bytes
     from ..formats.table import FORMATS, carried_scene
     from ..rendering.gaussians import check_static, static_splats
 

@@ -11,19 +11,26 @@ from typing import TYPE_CHECKING, Any, BinaryIO, Unpack
 from ..files.outputs import check_apart
 from ..files.stage import write_file
 from . import kinds
-from .command import ReadingWords, Report, command
+from .command import ReadingWords, Report, command, refusing
 
 if TYPE_CHECKING:
     from .scenes import Scene
     from .shown import Shown
 
 
+# Transfer characteristics of linear light (SPEC 6.5), which the page converts.
+LINEAR = 8
+
+
 def write_page(shown: Shown, path: Path, words: Mapping[str, Any]) -> Report:
     """Writes a page that contains the file of a scene. words: those of `view` on photographs."""
+    from ..formats.common import check_colours
     from ..viewer.page import page
 
     # A page of a damaged file would show only the error.
     _ = shown.scene
+    with refusing(f"{shown.name} cannot be exported"):
+        check_colours(shown.render, LINEAR)
     images, reads = _pictures(shown, words)
     check_apart([path], reads)
     data = shown.file()

@@ -45,6 +45,25 @@ DENSE_MAX = 1 << 20
 BITS_LEAST, BITS, BITS_MOST = 4, 7, 8
 
 
+# SPEC 6.5, code points of ITU-T H.273: BT.709 primaries and the sRGB curve. 2 is unspecified, and means the same here.
+_PRIMARIES, _TRANSFER = (1, 2), (13, 2)
+
+
+def check_colours(render: RenderInfo, *others: int) -> None:
+    """Raises ValueError for a scene whose colours other programs would take for sRGB, though they are not.
+
+    Blending comes before any conversion, so that Gaussians cannot be converted. others: transfer characteristics that
+    are shown rightly, too.
+    """
+    if render.colour_primaries not in _PRIMARIES or render.transfer_characteristics not in (*_TRANSFER, *others):
+        allowed = " or ".join(map(str, (_TRANSFER[0], *others)))
+        raise ValueError(
+            f"its colours have primaries {render.colour_primaries} and transfer characteristics "
+            f"{render.transfer_characteristics} of ITU-T H.273, but must have 1 and {allowed}: other programs would "
+            "show other colours"
+        )
+
+
 @dataclass(frozen=True)
 class Options:
     """What a file may state or choose besides the Gaussians.

@@ -17,7 +17,7 @@ from ..files.text import counted
 from ..folder.georeference import far_offset
 from ..folder.layout import SceneFolderError, there
 from . import compressed_ply, glb, ply, sog, spz
-from .common import ADVICE, ContentError, Data, Options, errors_in, remark, remarks
+from .common import ADVICE, ContentError, Data, Options, check_colours, errors_in, remark, remarks
 from .splats import Splats, rows_of
 
 F64 = NDArray[np.float64]
@@ -146,7 +146,7 @@ def _checked(splats: Splats) -> Splats:
 def splats_up(file: Path, unstated: F64 | None = None) -> F64:
     """Returns the up axis of a splat file, a unit vector, float64 [3].
 
-    unstated: that of a file of a format without one, None for -y as in 3DGS files. Raises SceneFolderError, and OSError.
+    unstated: that of a file of a format without one, None for -y as in 3DGS. Raises SceneFolderError, and OSError.
     """
     read_up = FORMATS[suffix].read_up if (suffix := suffix_of(file)) else None
     with errors_in(file):
@@ -158,9 +158,11 @@ def splats_up(file: Path, unstated: F64 | None = None) -> F64:
 def write_splats(splats: Splats, suffix: str, options: Options | None = None) -> bytes:
     """Returns a file of Gaussians.
 
-    suffix: of FORMATS. options: None for the defaults. Raises ValueError if the format cannot hold them, and if there
-    are none, and ModuleNotFoundError without a package of the extra.
+    suffix: of FORMATS. options: None for the defaults. Raises ValueError if the format cannot hold them, if there are
+    none, and as check_colours for a scene's, and ModuleNotFoundError without a package of the extra.
     """
+    if options and options.render:
+        check_colours(options.render)
     if not len(splats.mean):
         raise ValueError("it has no Gaussians")
     return FORMATS[suffix].write(splats, options or Options())

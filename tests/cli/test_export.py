@@ -17,8 +17,13 @@ for package in ("numba", "PIL", "scipy"):
 
 from plyfile import PlyData  # noqa: E402
 
+from refcodec.bitstream.cameras import camera_sections  # noqa: E402
 from refcodec.bitstream.codec import emit, parse  # noqa: E402
 from refcodec.export import fit, views  # noqa: E402
+from refcodec.formats.table import FORMATS, read_splats  # noqa: E402
+from refcodec.rendering.camera import Camera, axis_direction, named_camera  # noqa: E402
+from refcodec.rendering.rasterise import draw, settings_of  # noqa: E402
+from refcodec.rendering.view import View  # noqa: E402
 
 
 @pytest.fixture
@@ -50,7 +55,7 @@ def test_export(place: Path, call: Call, monkeypatch: pytest.MonkeyPatch) -> Non
     lines = re.findall(
         r"(scene\.\w+): (\S+) of 6,120 Gaussians, degree 1, (\S+) bytes, scene\.c3gs has 53,052\n"
         r"(?:its harmonics have 7 bits; with 8 \(export --spz-bits\) it has \S+ bytes\n)?"
-        r"PSNR to the scene, in viewers: (\S+) dB over 2 views, fitted to 16 cameras around the scene\n",
+        r"PSNR to the scene: (\S+) dB over 2 views, fitted to 16 cameras around the scene\n",
         out,
     )
     assert [name for name, *_ in lines] == [output.name for output in outputs], out
@@ -87,11 +92,58 @@ def test_a_static_scene(place: Path, call: Call, monkeypatch: pytest.MonkeyPatch
     assert [(place / output).read_bytes() for output in outputs] == before
     assert call("decode", "static.c3gs", "-o", "folder")[0] == call("export", "folder", "-o", "again.ply")[0] == 0
     assert (place / "again.ply").read_bytes() == before[0]
-    # Viewers have another filter than such a scene.
-    changed = parse((place / "static.c3gs").read_bytes()).scene
-    changed = replace(changed, render=replace(changed.render, low_pass=0.1))
-    (place / "static.c3gs").write_bytes(emit(changed))
-    assert "this scene is made for 0.1:" in call("export", "static.c3gs", "-o", "own.ply")[2]
+
+
+def seen(place: Path) -> tuple[View, list[Camera]]:
+    """Writes static.c3gs, a scene with nine cameras, and returns its view and its cameras."""
+    pytest.importorskip("torch", reason="convert needs the packages of the extra convert")
+    scene = parse(TRAINED.with_name("static-degree-2.c3gs").read_bytes()).scene
+    around = [replace(c.resized(60, 40), cx=33.0) for c in View(scene).orbit(9)]
+    sections = camera_sections([named_camera(c, str(i)) for i, c in enumerate(around)])
+    (place / "static.c3gs").write_bytes(emit(replace(scene, ancillary=tuple(sections))))
+    return View(scene), around
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_cameras_beside_splats(suffix: str, place: Path, call: Call) -> None:
+    """Whatever the axes of a format are, what convert reads looks as the scene from where people stand."""
+    view, around = seen(place)
+    from refcodec.convert.pictures import stated_cameras, up_of  # noqa: PLC0415
+
+    status, out, _ = call("export", "static.c3gs", "-o", f"a{suffix}")
+    assert (status, f"cameras.json: {len(around)} cameras, from which `refcodec convert` measures" in out) == (0, True)
+    splats, cameras = read_splats(Path(f"a{suffix}")), stated_cameras(Path(f"a{suffix}"), None)
+    assert len(cameras) == len(around)
+    images = [
+        (view.draw(one), np.minimum(draw(splats, other, settings_of(view.info)).image, 1))
+        for one, other in zip(around, cameras, strict=True)
+    ]
+    assert max(float(np.ptp(wanted)) for wanted, _ in images) > 0.1
+    assert max(float(np.mean((wanted - drawn) ** 2)) for wanted, drawn in images) < 1e-4
+    np.testing.assert_allclose(up_of(Path(f"a{suffix}"), None, cameras), axis_direction(view.info.up_axis), atol=0.05)
+
+
+def test_cameras_replace_no_others(place: Path, call: Call) -> None:
+    """Those of other programs and other splats stay, and convert does not take them for those of a splat."""
+    seen(place)
+    from refcodec.convert.pictures import stated_cameras  # noqa: PLC0415
+
+    file, notes = Path("cameras.json"), list[str]()
+    file.write_text("[]\n")
+    assert "cameras.json exists and is not a cameras.json that" in call("export", "static.c3gs", "-o", "a.ply")[1]
+    assert file.read_text() == "[]\n"
+    file.unlink()
+    for _ in range(2):
+        assert "9 cameras, from which" in call("export", "static.c3gs", "-o", "a.ply", "-o", "a.spz")[1]
+    before = file.read_bytes()
+    out = call("export", "static.c3gs", "-o", "b.ply")[1]
+    assert "cameras.json is not replaced (it is of a.ply, a.spz)" in out
+    assert file.read_bytes() == before
+    assert stated_cameras(Path("b.ply"), None, notes.append) == []
+    assert "cameras.json is of a.ply, a.spz: --cameras cameras.json uses it for b.ply" in notes[0]
+    assert len(stated_cameras(Path("b.ply"), "cameras.json")) == 9
+    # A scene with few cameras does not show from where it is seen.
+    assert "cameras.json" not in call("export", "scene.c3gs", "-o", "c.ply", *QUICK)[1]
 
 
 def test_bits_of_spz(place: Path, call: Call) -> None:

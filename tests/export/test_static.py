@@ -101,15 +101,19 @@ def test_decode_splat(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     assert not (tmp_path / "b.ply").exists()
 
 
-@pytest.mark.parametrize("option", ["--glb=plain", "--glb=c3gs"])
-def test_glb_states_its_colour_space(option: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A GLB file can state sRGB, but not the colours of BT.2020. A PLY file states none."""
+@pytest.mark.parametrize("suffix", [*FORMATS, ".glb --glb=c3gs", ".html"])
+def test_other_colours_are_refused(suffix: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Other programs take colours for sRGB, so those of BT.2020 and linear light are for no splat. A page has both."""
     scene = scene_of("static-degree-1")
-    file = tmp_path / "a.c3gs"
-    file.write_bytes(emit(replace(scene, render=replace(scene.render, colour_primaries=9))))
-    assert main(["export", str(file), "-o", str(tmp_path / "a.glb"), option]) == USAGE
-    assert (
-        "primaries 9 and transfer characteristics 13 of ITU-T H.273, but must have 1 and 13" in capsys.readouterr().err
-    )
-    assert not (tmp_path / "a.glb").exists()
-    assert main(["export", str(file), "-o", str(tmp_path / "a.ply")]) == 0
+    file, (end, *words) = tmp_path / "a.c3gs", suffix.split()
+    for primaries, transfer in ((9, 13), (1, 8), (1, 16)):
+        render = replace(scene.render, colour_primaries=primaries, transfer_characteristics=transfer)
+        file.write_bytes(emit(replace(scene, render=render)))
+        shown = suffix == ".html" and transfer == 8
+        status = main(["export", str(file), "-o", str(tmp_path / f"b{end}"), *words])
+        assert (status == 0, (tmp_path / f"b{end}").exists()) == (shown, shown)
+        stated = f"primaries {primaries} and transfer characteristics {transfer} of ITU-T H.273, but must have 1 and 13"
+        assert (stated in capsys.readouterr().err) != shown
+        (tmp_path / f"b{end}").unlink(missing_ok=True)
+        if end in FORMATS and not words:
+            assert main(["decode", str(file), "--splat", str(tmp_path / f"b{end}")]) == USAGE
