@@ -180,7 +180,7 @@ def _write_splats(shown: Shown, paths: list[Path], words: ExportWords, beside: b
             if words.get(word) is not None:
                 raise UsageError(f"{shown.name} is a static scene, which needs no fit: omit --{word}")
         splats, measure, views = static_splats(shown.coded()), None, ""
-        cameras = _own_cameras(shown)
+        cameras: Sequence[Camera] = _own_cameras(shown)
         count = counted(len(splats.mean), "Gaussian")
     else:
         splats, kept, measure, views, cameras = _fit(shown, paths, words)

@@ -22,8 +22,8 @@ class DataWords(TypedDict, total=False):
 
     Args:
         static: learn a static scene: its Gaussians do not depend on the view, and its colours have spherical harmonics.
-        background: colour behind transparent photographs: white, black or R,G,B (default: white for NeRF folders, else
-            black).
+        background: colour behind transparent photographs: white, black or R,G,B (default: that of --from, or white if
+            a photograph is transparent, else black).
         holdout: hold out every N-th photograph, or none with 0, unless the data set has a split (default: 8).
         anchors: approximate number of initial anchors (default: the preset's).
         voxel: edge length of the voxels of the initial anchors, in world units.
@@ -157,12 +157,15 @@ def train(
     files = [(state, STATE), (folder / REPORT_FILE, REPORT), (None if log is None else check_log(Path(log)), None)]
     check_outputs([settings, from_scene], *files, scene=folder, uncompressed=True)
     check_state(folder, state, resume, "; a completed training keeps it only with --keep-state")
-    images = stated_photographs(photographs, chosen.size, chosen.background, chosen.holdout)
+    given = None if from_scene is None else read_beginning(Path(from_scene))
+    background = chosen.background
+    if given is not None and background == "auto":
+        background = ",".join(map(str, given.render.background))
+    images = stated_photographs(photographs, chosen.size, background, chosen.holdout)
     reads = images.places()
     check_outputs(reads, *files, scene=folder, uncompressed=True)
     for text in images.notes:
         note(f"refcodec: {text}")
-    given = None if from_scene is None else read_beginning(Path(from_scene))
     offset = scene_offset(
         images, next(iter(given.cameras if given else ()), NamedCamera()), given.offset if given else np.zeros(3)
     )

@@ -29,6 +29,8 @@ WORDS = {"position": (11, 10, 11), "rotation": (2, 10, 10, 10), "scale": (11, 10
 _RANGES = {"position": ("", "xyz"), "scale": ("scale_", "xyz"), "color": ("", "rgb")}
 # Bytes of harmonics are the centres of 256 steps from -4 to 4.
 _SPAN = 8
+# Gaussians are drawn in to so many times the largest coordinate of those that are not far out.
+_FARTHEST = 2
 KIND = Kind(
     "a compressed PLY file that refcodec wrote",
     re.compile(rb"ply\nformat binary_little_endian 1\.0\nelement chunk [0-9]+\ncomment " + MARK.encode() + rb"\n"),
@@ -83,7 +85,11 @@ def _shares(words: NDArray[np.int64], widths: Sequence[int]) -> F64:
 
 
 def write(splats: Splats, _: Options) -> bytes:
-    """Returns a file. It has the Gaussians in another order, so that those of a chunk are near each other."""
+    """Returns a file. It has the Gaussians in another order, so that those of a chunk are near each other.
+
+    The few far out share the last chunk with others, and are drawn in.
+    """
+    splats = packing.drawn_in(splats, _FARTHEST * float(np.abs(splats.mean[packing.bulk(splats.mean)]).max()))
     splats = rows_of(splats, packing.along_curve(splats.mean))
     count = len(splats.mean)
     starts, chunk = np.arange(0, count, CHUNK), np.arange(count) // CHUNK

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,8 @@ U8 = NDArray[np.uint8]
 OPACITY_LEAST = 1e-6
 # The same for an opacity that was read as a byte: 0 and 255 are half a step from the next.
 BYTE_OPACITY_LEAST = 0.25 / 255
+# Points are far out beyond so many times the distance within which this share of all is.
+FAR, SHARE = 10, 0.95
 
 
 def opacities(splats: Splats) -> F64:
@@ -52,15 +55,37 @@ def with_largest(largest: I64, others: F64) -> F64:
     return out
 
 
+def bulk(mean: F32) -> NDArray[np.bool_]:
+    """Returns whether points, [n, 3], are at most FAR times as far from their median as SHARE of them, bool [n].
+
+    The others, such as a sky, must not set the ranges and steps of all.
+    """
+    away = np.abs(mean - np.median(mean, axis=0)).max(axis=1)
+    reach = np.quantile(away, SHARE)
+    return (away <= FAR * reach) | (reach == 0)
+
+
 def along_curve(mean: F32) -> I64:
-    """Returns an order of points, [n, 3], along a Z-order curve of 16 bits for each axis.
+    """Returns an order of points, [n, 3], along a Z-order curve of 16 bits for each axis, those far out at the end.
 
     Formats that code neighbours together become smaller or more accurate by it.
     """
-    low, high = mean.min(axis=0).astype(np.float64), mean.max(axis=0).astype(np.float64)
-    grid = ((mean - low) / np.maximum(high - low, 1e-300) * 65535).astype(np.uint64)
+    near = bulk(mean)
+    low, high = (end(mean[near], axis=0).astype(np.float64) for end in (np.min, np.max))
+    grid = ((mean - low) / np.maximum(high - low, 1e-300) * 65535).clip(0, 65535).astype(np.uint64)
     code = np.zeros(len(mean), np.uint64)
     for bit in range(16):
         for axis in range(3):
             code |= (grid[:, axis] >> np.uint64(bit) & np.uint64(1)) << np.uint64(3 * bit + axis)
-    return np.argsort(code, kind="stable")
+    return np.lexsort((code, ~near))
+
+
+def drawn_in(splats: Splats, most: float) -> Splats:
+    """Returns Gaussians without coordinates beyond `most`.
+
+    Farther ones come nearer to the world's origin, and become as much smaller: from there, they look the same.
+    """
+    most = max(most, float(np.finfo(np.float32).tiny))
+    nearer = most / np.maximum(np.abs(splats.mean).max(axis=1, keepdims=True), most)
+    scale = splats.scale + np.log(nearer)
+    return replace(splats, mean=splats.mean * nearer, scale=scale) if (nearer < 1).any() else splats

@@ -213,8 +213,12 @@ def _splats(version: int, fraction: int, parts: _Parts) -> Splats:
 
 
 def write(splats: Splats, options: Options) -> bytes:
-    """Returns a file. Raises ValueError for positions of 2^23 or more, which the format cannot hold."""
+    """Returns a file. Raises ValueError for positions of 2^23 or more, which the format cannot hold.
+
+    A few Gaussians far out, which fine steps do not reach, are drawn in.
+    """
     count, fraction = len(splats.mean), _fraction(splats)
+    splats = packing.drawn_in(splats, _POSITION_MOST / 2.0**fraction)
     fixed = np.rint(splats.mean.astype(np.float64) * AXES * 2.0**fraction).clip(-_POSITION_MOST, _POSITION_MOST)
     position = np.ascontiguousarray(fixed, "<i4").view(np.uint8).reshape(count, 3, 4)
     largest, others = packing.smaller_components(splats.unit_quaternions()[:, [1, 2, 3, 0]] * (*AXES, 1))
@@ -241,9 +245,9 @@ def write(splats: Splats, options: Options) -> bytes:
 
 def _fraction(splats: Splats) -> int:
     """Returns the number of fractional bits of positions: those of a fine step, or fewer if the largest has no more."""
-    largest = float(np.abs(splats.mean).max())
-    if largest > _POSITION_MOST:
-        raise ValueError(f"a position is at {largest:.6g}, but SPZ positions are below 2^23")
+    largest = float(np.abs(splats.mean[packing.bulk(splats.mean)]).max())
+    if (farthest := float(np.abs(splats.mean).max())) > _POSITION_MOST:
+        raise ValueError(f"a position is at {farthest:.6g}, but SPZ positions are below 2^23")
     most = min(_FRACTION_MOST, 22 - int(np.floor(np.log2(max(largest, 1.0)))))
     axis = float(np.quantile(splats.scale.max(axis=1), _QUANTILE)) / np.log(2)
     return int(np.clip(np.ceil(-np.log2(_STEP_SHARE) - axis), 0, most))

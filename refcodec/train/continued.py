@@ -35,6 +35,9 @@ MASKED = -16.0
 FINER = 32
 # An anchor is on the lattice if it is this near to a corner, in cells.
 NEAR = 0.01
+# Anchors are far out at so many times the distance within which this share of them is. Cells beyond LATTICE_MAX that
+# are drawn in, because the mantissa of a cell is short.
+FAR, SHARE, NEAR_END = 100, 0.95, 100
 
 
 class BeginningError(ValueError):
@@ -79,7 +82,8 @@ def continued_settings(given: Given, settings: TrainSettings) -> TrainSettings:
 def beginning(given: Given, photographs: PhotographSet, settings: TrainSettings) -> Beginning:
     """Returns the anchors of a scene on a lattice, in the units of a training run.
 
-    Of anchors in one cell the first is taken. Raises BeginningError.
+    Of anchors in one cell the first is taken. Those farther out than fp16 reaches, such as a wrong one, are left out.
+    Raises BeginningError.
     """
     cloud = given.cloud
     if given.networks is None or not len(cloud.positions):
@@ -91,8 +95,10 @@ def beginning(given: Given, photographs: PhotographSet, settings: TrainSettings)
     grid = choose_grid(cloud.positions, _cell(given))
     cell = grid.scale_mantissa * 2.0**grid.scale_exponent
     origin = np.array(grid.origin, np.float64) * 2.0 ** (grid.scale_exponent - 24)
-    cells = lattice_positions(np.round((points - origin) / cell).astype(np.int64)).astype(np.int64)
-    lattice, rows = np.unique(cells, axis=0, return_index=True)
+    exact = np.round((points - origin) / cell).astype(np.int64)
+    reached = np.flatnonzero((np.abs(exact) <= LATTICE_MAX + NEAR_END).all(axis=1))
+    lattice, rows = np.unique(lattice_positions(exact[reached]).astype(np.int64), axis=0, return_index=True)
+    rows = reached[rows]
     tables = {
         "features": cloud.features[rows],
         "offsets": cloud.offsets[rows].reshape(len(rows), -1),
@@ -105,7 +111,9 @@ def beginning(given: Given, photographs: PhotographSet, settings: TrainSettings)
 def _cell(given: Given) -> float:
     """Returns the edge of the lattice's cells, in world units."""
     positions = given.cloud.positions
-    extent = float(np.ptp(positions.astype(np.float64), axis=0).max())
+    away = np.abs(positions.astype(np.float64) - np.median(positions, axis=0)).max(axis=1)
+    # One anchor far out does not make all cells coarse.
+    extent = min(float(away.max()), FAR * float(np.quantile(away, SHARE)))
     voxel = given.voxel
     if given.grid is not None:
         unit = given.grid.scale_mantissa * 2.0**given.grid.scale_exponent

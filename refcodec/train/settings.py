@@ -391,7 +391,7 @@ class TrainSettings:
     )
     background: str = setting(
         "auto",
-        "what transparent photographs are laid over: white, black or R,G,B; auto: white in NeRF's format, else black",
+        "what transparent photographs are laid over: white, black or R,G,B; auto: white if there are any, else black",
         GS,
         unit="0 to 255",
     )

@@ -164,6 +164,25 @@ def test_extreme_numbers(suffix: str, place: str) -> None:
     assert_comes_back(suffix, wild, Options())
 
 
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_a_sky_sets_no_steps(suffix: str) -> None:
+    """Some Gaussians a million units away leave the others where they are, and are seen in the same direction."""
+    splats = made(1000, 0)
+    far = splats.mean.copy()
+    far[::200] *= np.float32(1e6) / np.linalg.norm(far[::200], axis=1, keepdims=True)
+    read, near = (
+        FORMATS[suffix].read(write_splats(replace(splats, mean=far), suffix)),
+        np.delete(far, slice(None, None, 200), 0),
+    )
+    # Formats sort.
+    away = np.linalg.norm(read.mean, axis=1) > 1.5 * np.linalg.norm(near, axis=1).max()
+    assert away.sum() == 5
+    assert np.abs(np.sort(near, axis=0) - np.sort(read.mean[~away], axis=0)).max() < 0.02
+    sky = read.mean[away]
+    cosines = sky @ far[::200].T / np.linalg.norm(sky, axis=1)[:, None] / 1e6
+    assert (cosines.max(axis=1) > 0.9999).all()
+
+
 @pytest.mark.parametrize("degree", [0, 2])
 def test_several_chunks(degree: int) -> None:
     """Chunks of a compressed PLY file have ranges of their own, which are smaller than those of all Gaussians."""

@@ -73,7 +73,7 @@ def written(folder: Path, voxel: float | None = VOXEL) -> tuple[Uncompressed, Gi
     """A scene and photographs of it, as they are read from their folders `scene` and `photographs`."""
     scene = model(voxel)
     write_uncompressed(scene, folder / "scene")
-    photographs = read_photographs(photographed(scene, folder / "photographs"), 48)
+    photographs = read_photographs(photographed(scene, folder / "photographs"), 48, scene.render.background)
     return scene, read_given(folder / "scene"), photographs
 
 
@@ -84,6 +84,14 @@ def test_it_begins_with_what_the_scene_shows(voxel: float | None, tmp_path: Path
     scene, given, photographs = written(tmp_path, voxel)
     settings = continued_settings(given, varied(PRESETS["fast"], {"steps": 4}))
     assert sum(settings.entropy.slices) == FEATURES
+    # One wrong anchor far out is left out, and does not make the lattice of all coarse.
+    positions = given.cloud.positions.copy()
+    positions[-1] = 1e6
+    given, whole = replace(given, cloud=replace(given.cloud, positions=positions)), given
+    begun = beginning(given, photographs, settings)
+    assert len(begun.lattice) == len(positions) - 1
+    assert begun.units.cell * begun.units.length <= VOXEL
+    given = whole
     trainer = Trainer(photographs, settings, given=given)
     assert trainer.scaffold.count == len(scene.masks)
     for photograph in photographs.train:
