@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Unpack
 
-from ..export import DEGREE, ITERATIONS
+from ..export import DEGREE, ITERATIONS, VIEWERS
 from ..files.outputs import check_apart, check_file
 from ..files.stage import Stage, write_file
 from ..files.text import counted
@@ -78,8 +78,9 @@ def export(
       - else the cameras of FILE, if there are 8 or more; train keeps 16, spread as far as possible
       - else 64 cameras around the scene, where its networks were not trained
 
-    The command reports the PSNR of the splat in dB, measured on views that the fit did not use. With cameras of FILE,
-    these lie between each camera and its nearest.
+    Viewers of splats add 0.3 square pixels to each Gaussian. The fit is made for them. The command reports the PSNR of
+    the splat in dB as they draw it, on views that the fit did not use. With cameras of FILE, these lie between each
+    camera and its nearest.
     Gaussians that contribute less than a tenth of a pixel to every view are dropped.
     Beside the splats stands a cameras.json as 3DGS writes it, from which `refcodec convert` measures: the cameras of
     --cameras, or those of FILE if there are 8 or more. No other file is replaced by it.
@@ -181,6 +182,11 @@ def _write_splats(shown: Shown, paths: list[Path], words: ExportWords, beside: b
                 raise UsageError(f"{shown.name} is a static scene, which needs no fit: omit --{word}")
         splats, measure, views = static_splats(shown.coded()), None, ""
         cameras: Sequence[Camera] = _own_cameras(shown)
+        if abs((own := shown.render.low_pass) - VIEWERS) > 1e-3:
+            shown.remark(
+                f"viewers of splats add {VIEWERS} square pixels to a Gaussian, this scene is made for {own:.3g}: they "
+                "show it otherwise, most of all in small pictures (docs/programs.md)"
+            )
         count = counted(len(splats.mean), "Gaussian")
     else:
         splats, kept, measure, views, cameras = _fit(shown, paths, words)
@@ -195,7 +201,7 @@ def _write_splats(shown: Shown, paths: list[Path], words: ExportWords, beside: b
     for number, (path, file) in enumerate(zip(paths, files, strict=True)):
         size, *more = _sizes(path, splats, file, shown, bits)
         lines += [f"{path}: {count}, degree {splats.degree}, {size}", *more]
-        lines += [f"PSNR to the scene: {near[number]:.2f} dB over {views}"] if measure else []
+        lines += [f"PSNR to the scene, in viewers: {near[number]:.2f} dB over {views}"] if measure else []
     with Stage() as stage:
         for path, file in zip(paths, files, strict=True):
             stage.write(path, file)

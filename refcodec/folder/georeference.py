@@ -24,7 +24,7 @@ def far_offset(places: F64, reach: F64 | float = 0.0) -> F64:
         return np.zeros(3)
     middle = np.median(places, axis=0)
     size = np.quantile(np.abs(places - middle).max(axis=1) + reach, SHARE)
-    return np.rint(middle) if np.abs(middle).max() > FAR * size else np.zeros(3)
+    return np.rint(middle) + 0.0 if np.abs(middle).max() > FAR * size else np.zeros(3)
 
 
 def georeference(offset: F64) -> dict[str, str]:

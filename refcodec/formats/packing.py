@@ -60,7 +60,7 @@ def bulk(mean: F32) -> NDArray[np.bool_]:
 
     The others, such as a sky, must not set the ranges and steps of all.
     """
-    away = np.abs(mean - np.median(mean, axis=0)).max(axis=1)
+    away = np.abs(mean.astype(np.float64) - np.median(mean, axis=0)).max(axis=1)
     reach = np.quantile(away, SHARE)
     return (away <= FAR * reach) | (reach == 0)
 

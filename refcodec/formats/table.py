@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -16,8 +17,9 @@ from ..files.present import NotAFileError, is_there, mapped
 from ..files.text import counted
 from ..folder.georeference import far_offset
 from ..folder.layout import SceneFolderError, there
-from . import compressed_ply, glb, ply, sog, spz
+from . import compressed_ply, glb, ply, sog, splat, spz
 from .common import ADVICE, ContentError, Data, Options, check_colours, errors_in, remark, remarks
+from .others import described
 from .splats import Splats, rows_of
 
 F64 = NDArray[np.float64]
@@ -36,15 +38,12 @@ class Format:
     write: returns a file of Gaussians, of which there is at least one. Raises ValueError if it cannot hold them.
     kind: of the written files, for output checks.
     extra: that has the packages of the writer, None for no extra.
-    read_up: returns the up axis that a file states, a unit vector, float64 [3]; None if files state none. Errors: as
-    for read.
     """
 
     read: Callable[[Data], Splats]
     write: Callable[[Splats, Options], bytes]
     kind: Kind
     extra: str | None = None
-    read_up: Callable[[Data], NDArray[np.float64]] | None = None
 
 
 def _read_ply(data: Data) -> Splats:
@@ -57,20 +56,51 @@ FORMATS = {
     ".ply": Format(_read_ply, ply.write, ply.KIND),
     ".spz": Format(spz.read, spz.write, spz.KIND),
     ".sog": Format(sog.read, sog.write, sog.KIND, extra="render"),
-    ".glb": Format(glb.read, glb.write, glb.KIND, read_up=glb.read_up),
+    ".glb": Format(glb.read, glb.write, glb.KIND),
     ".compressed.ply": Format(_read_ply, compressed_ply.write, compressed_ply.KIND),
 }
 
 
-def suffix_of(file: str | Path) -> str | None:
-    """Returns the suffix of FORMATS that a file name has, the longest one if it has several; None if it has none."""
+# The suffixes of files that are read. Some are not written.
+READ = (*FORMATS, ".splat", ".gltf")
+
+
+def suffix_of(file: str | Path, suffixes: Iterable[str] = FORMATS) -> str | None:
+    """Returns the suffix that a file name has, the longest one if it has several; None if it has none."""
     name = Path(file).name.lower()
-    return max((suffix for suffix in FORMATS if name.endswith(suffix)), key=len, default=None)
+    return max((suffix for suffix in suffixes if name.endswith(suffix)), key=len, default=None)
 
 
 def is_splat_file(file: Path) -> bool:
-    """Whether the name of a file is that of a splat file: with a suffix of FORMATS, or meta.json of a SOG folder."""
-    return file.name == sog.META or suffix_of(file) is not None
+    """Whether the name of a file is that of a splat file: with a suffix of READ, or meta.json of a SOG folder."""
+    return file.name == sog.META or suffix_of(file, READ) is not None
+
+
+def no_splat(file: Path) -> SceneFolderError:
+    """Returns the error for something whose name is not that of a splat file."""
+    known = described(file)
+    problem, advice = known or ("it is neither a model folder nor a splat file", f"give one of {', '.join(READ)}")
+    return SceneFolderError(file, problem if os.path.lexists(file) else "the file does not exist", advice)
+
+
+def _read(file: Path) -> Splats:
+    """Returns the Gaussians of a file as it has them. Raises ContentError, PlyError, and OSError."""
+    if file.name == sog.META:
+        return sog.read_folder(file)
+    suffix = suffix_of(file, READ) or ""
+    try:
+        data = _data(file)
+        return (FORMATS[suffix].read if suffix in FORMATS else {".splat": splat.read, ".gltf": glb.read}[suffix])(data)
+    except (ContentError, PlyError):
+        # What has the name of a splat may be something else.
+        if known := described(file, suffix):
+            raise ContentError(*known) from None
+        raise
+
+
+def _data(file: Path) -> Data:
+    """Returns the bytes of a file, those of a GLB file for a .gltf file. Raises ContentError, and OSError."""
+    return glb.packed(file) if suffix_of(file, READ) == ".gltf" else mapped(file)
 
 
 def model_splats(folder: Path) -> Path | None:
@@ -100,17 +130,15 @@ def read_located(file: Path, offset: F64 | None, note: Callable[[str], None] = l
     receives what was changed, ignored or left out. Raises SceneFolderError, and OSError.
     """
     if not is_splat_file(file) or not there(file, ADVICE):
-        problem = "the file does not exist" if is_splat_file(file) else "its name has no suffix of a splat file"
-        raise SceneFolderError(file, problem, f"give a file of 3D Gaussians ({', '.join(FORMATS)})")
+        raise no_splat(file)
     with errors_in(file), remarks() as texts:
-        suffix = suffix_of(file)
-        splats = _checked(FORMATS[suffix].read(mapped(file)) if suffix else sog.read_folder(file))
+        splats = _checked(_read(file))
         if offset is None:
             offset = far_offset(splats.mean.astype(np.float64), np.exp(splats.scale.max(axis=1)))
             if offset.any():
                 remark(f"far from the world's origin for its size: {offset.tolist()} is subtracted from positions")
     for text in texts:
-        note(f"{file}: {text}")
+        note(f"refcodec: {file}: {text}")
     moved = splats.mean.astype(np.float64) - offset if offset.any() else splats.mean
     return replace(splats, mean=moved.astype(np.float32, copy=False)), offset
 
@@ -148,10 +176,9 @@ def splats_up(file: Path, unstated: F64 | None = None) -> F64:
 
     unstated: that of a file of a format without one, None for -y as in 3DGS. Raises SceneFolderError, and OSError.
     """
-    read_up = FORMATS[suffix].read_up if (suffix := suffix_of(file)) else None
     with errors_in(file):
-        if read_up:
-            return read_up(mapped(file))
+        if suffix_of(file, (".glb", ".gltf")):
+            return glb.read_up(_data(file))
         return Options().up if unstated is None else unstated
 
 

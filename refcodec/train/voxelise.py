@@ -7,7 +7,7 @@ that they depend on place and on each other as learned ones do.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -44,7 +44,7 @@ class PointCloud:
 
     points: F32
     colours: NDArray[np.uint8]
-    offset: F64
+    offset: F64 = field(default_factory=lambda: np.zeros(3))
     notes: tuple[str, ...] = ()
 
 

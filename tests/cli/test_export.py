@@ -55,7 +55,7 @@ def test_export(place: Path, call: Call, monkeypatch: pytest.MonkeyPatch) -> Non
     lines = re.findall(
         r"(scene\.\w+): (\S+) of 6,120 Gaussians, degree 1, (\S+) bytes, scene\.c3gs has 53,052\n"
         r"(?:its harmonics have 7 bits; with 8 \(export --spz-bits\) it has \S+ bytes\n)?"
-        r"PSNR to the scene: (\S+) dB over 2 views, fitted to 16 cameras around the scene\n",
+        r"PSNR to the scene, in viewers: (\S+) dB over 2 views, fitted to 16 cameras around the scene\n",
         out,
     )
     assert [name for name, *_ in lines] == [output.name for output in outputs], out
@@ -92,6 +92,11 @@ def test_a_static_scene(place: Path, call: Call, monkeypatch: pytest.MonkeyPatch
     assert [(place / output).read_bytes() for output in outputs] == before
     assert call("decode", "static.c3gs", "-o", "folder")[0] == call("export", "folder", "-o", "again.ply")[0] == 0
     assert (place / "again.ply").read_bytes() == before[0]
+    # Viewers have another filter than such a scene.
+    changed = parse((place / "static.c3gs").read_bytes()).scene
+    changed = replace(changed, render=replace(changed.render, low_pass=0.1))
+    (place / "static.c3gs").write_bytes(emit(changed))
+    assert "this scene is made for 0.1:" in call("export", "static.c3gs", "-o", "own.ply")[2]
 
 
 def seen(place: Path) -> tuple[View, list[Camera]]:
