@@ -2,7 +2,7 @@
 import { Box3, Camera, Color, Loader, LoadingManager, Object3D, PerspectiveCamera, Quaternion, Vector3 } from "three";
 import { Gaussians, Input, Options, Scene, View, Viewpoint } from "./c3gs.js";
 
-/** A target for Gaussians one by one, such as `PackedSplats` of `@sparkjsdev/spark`. */
+/** A target for Gaussians one by one, such as `PackedSplats` of Spark, which needs a `SparkRenderer` in the scene. */
 export interface SplatTarget {
   /** Set after an update. */
   needsUpdate?: boolean;
@@ -21,7 +21,12 @@ export class C3gsModel {
   readonly scene: Scene;
   /** All chunks of the file. */
   readonly gaussians: Gaussians;
-  /** The cameras of the file in its world. The first one is the default view. `userData` has `width` and `height`. */
+  /**
+   * The cameras of the file in its world. The first one is the default view. `userData` has `width` and `height`.
+   *
+   * If an object that draws the file is turned, such as by `upright`, its cameras turn with it as its children:
+   * `object.add(camera)`.
+   */
   readonly cameras: readonly PerspectiveCamera[];
   /** Bounds of the positions of the anchors in the file's world. */
   readonly bounds: Box3;
@@ -39,7 +44,8 @@ export class C3gsModel {
    *
    * For a static scene, `sparkSplats` of `c3gs/adapters` gives all cameras at once.
    *
-   * The target needs room for `gaussians.slotCount` splats. Splats of an earlier view that are not in this one get
+   * The target needs room for `gaussians.slotCount` splats, and must show later changes: Spark's `PackedSplats` does,
+   * its `ExtSplats` does not. Splats of an earlier view that are not in this one get
    * opacity 0. Colours are those of the file, whose header states their encoding.
    */
   fill(target: SplatTarget, camera: Camera, object?: Object3D): number;

@@ -1,13 +1,15 @@
-// Runs the examples of the package's README.md, one after the other, with what they leave to the page.
+// Runs the examples of the package's README.md and of docs/page.md, one after the other, with what they leave to the
+// page.
 //
 // node readme_web.mjs FILE: a file of eight chunks or more. It says how many examples ran, and how many Gaussians they
-// drew. Those of three.js are left out: three_web.mjs has such calls.
+// drew. Those that are whole pages are left out: test_web_pages.py opens them in a browser.
 import fs from "node:fs";
 import * as c3gs from "../../refcodec/web/c3gs.js";
 
 const web = new URL("../../refcodec/web/", import.meta.url);
 const [file, wasm] = [process.argv[2], new URL("c3gs.wasm", web)].map((path) => fs.readFileSync(path));
-const blocks = fs.readFileSync(new URL("README.md", web), "utf8").matchAll(/```js\n([\s\S]*?)```/g);
+const texts = ["README.md", "../../docs/page.md"].map((name) => fs.readFileSync(new URL(name, web), "utf8"));
+const blocks = texts.join("\n").matchAll(/```js\n([\s\S]*?)```/g);
 
 let drawn = 0;
 const page = {
@@ -25,7 +27,7 @@ const AsyncFunction = (async () => {}).constructor;
 
 let ran = 0;
 for (const [, text] of blocks) {
-  if (/"(three|c3gs\/three|@sparkjsdev\/spark)[/"]/.test(text)) continue;
+  if (/"(three|playcanvas)[/"]/.test(text)) continue;
   // Imports are there already. What a block declares, the next ones have, too.
   const code = text.replace(/^import .*$/gm, "").replace(/^(const|let) (\w+)( =|;)/gm, (all, kind, name, rest) => {
     return rest === ";" ? `page.${name} = undefined;` : `page.${name} =`;

@@ -1,13 +1,17 @@
-"""Static scenes in the viewer and in pages of Spark and PlayCanvas, opened in Chromium.
+"""The viewer, and the pages of Spark, PlayCanvas and three.js in README.md of the package, opened in Chromium.
 
-The packages are looked for as in test_web_three.py: `npm install three @sparkjsdev/spark playcanvas`.
+The newest packages are installed by npm where its registry can be reached, and else looked for as in test_web_three.py.
 """
 
 from __future__ import annotations
 
 import base64
 import io
+import re
+import shutil
+import subprocess
 import threading
+import time
 from dataclasses import replace
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -16,11 +20,12 @@ from typing import Any
 import numpy as np
 import pytest
 from test_web_three import FOLDERS
-from web_program import ROOT, WEB
+from web_program import MISSING, NODE, ROOT, WEB
 
 from benchmarks.large import made_static
 from refcodec.bitstream import cameras, codec
-from refcodec.bitstream.scene import Ancillary
+from refcodec.bitstream.scene import Ancillary, Scene
+from refcodec.cli.main import main
 from refcodec.viewer.page import page
 from tests.chromium import Chromium, find
 
@@ -30,30 +35,76 @@ pytestmark = [
     pytest.mark.skipif(find() is None, reason="there is no Chromium here, so the pages are not opened"),
 ]
 
-PAGES = Path(__file__).with_name("pages")
-TYPES = {".html": "text/html", ".js": "text/javascript", ".mjs": "text/javascript", ".wasm": "application/wasm"}
-VALID = ROOT / "vectors" / "valid"
+TYPES = {"": "text/html", ".js": "text/javascript", ".mjs": "text/javascript", ".wasm": "application/wasm"}
+TRAINED = ROOT / "vectors" / "valid" / "trained-caliterra.c3gs"
+SIZE = WIDTH, HEIGHT = 320, 240
 CAMERAS = 4
+PACKAGES = ("three", "@types/three", "@sparkjsdev/spark", "playcanvas", "typescript", "vite")
+# A word of each example that is a whole page.
+WORDS = ("SparkRenderer", "playcanvas", "GLTFLoader")
+# An example in a page, which finds packages where a bundler would.
+PAGE = """<!doctype html><meta charset="utf-8"><link rel="icon" href="data:,"><style>body {{ margin: 0 }}</style>
+<script type="importmap">{{"imports": {{
+  "c3gs": "/c3gs/c3gs.js", "c3gs/adapters": "/c3gs/adapters.js", "c3gs/gltf": "/c3gs/gltf.js",
+  "c3gs/three": "/c3gs/three.js", "playcanvas": "/modules/playcanvas/build/playcanvas.mjs",
+  "three": "/modules/three/build/three.module.js", "three/webgpu": "/modules/three/build/three.webgpu.js",
+  "three/tsl": "/modules/three/build/three.tsl.js", "three/addons/": "/modules/three/examples/jsm/",
+  "@sparkjsdev/spark": "/modules/@sparkjsdev/spark/dist/spark.module.min.js"}}}}</script>
+<body></body><script type="module">{code}</script>"""
 
 
-@pytest.fixture(scope="module", params=[1, 3])
-def path(request: pytest.FixtureRequest) -> tuple[bytes, list[np.ndarray]]:
-    """A static scene with harmonics of a degree that states a path of cameras, and what `refcodec render` draws."""
+@pytest.fixture(scope="module")
+def modules(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of npm packages, of their newest versions if npm gets them."""
+    folder = tmp_path_factory.mktemp("npm")
+    if shutil.which("npm") is not None:
+        quick = "--fetch-retries=0 --fetch-timeout=20000 --no-audit --no-fund --ignore-scripts"
+        command = ["npm", "install", *quick.split(), *PACKAGES]
+        if subprocess.run(command, cwd=folder, capture_output=True, check=False).returncode == 0:
+            return folder / "node_modules"
+    found = next((f for f in FOLDERS if all((f / name / "package.json").exists() for name in PACKAGES)), None)
+    if found is None:
+        pytest.skip(f"npm gets no packages here, and {', '.join(PACKAGES)} are in no folder of NODE_PATH")
+    return found
+
+
+def examples(word: str) -> list[str]:
+    """Returns the code blocks of README.md that have a word."""
+    blocks = re.findall(r"```js\n(.*?)```", (WEB / "README.md").read_text(encoding="utf-8"), re.DOTALL)
+    return [block for block in blocks if word in block]
+
+
+@pytest.fixture(scope="module", params=[None, 1, 3], ids=["view-dependent", "degree 1", "degree 3"])
+def scene(request: pytest.FixtureRequest) -> tuple[Scene, list[Any]]:
+    """A scene with -y up, static with harmonics of a degree or not, and a path of cameras."""
     for package in ("numba", "PIL", "scipy"):
         pytest.importorskip(package, reason="the pictures are compared with those of the extra render")
+    from refcodec.rendering.view import View  # noqa: PLC0415
+
+    found = codec.parse(TRAINED.read_bytes()).scene
+    found = replace(found, render=replace(found.render, up_axis=3))
+    if request.param is not None:
+        found = made_static(found, request.param)
+    return found, [camera.resized(*SIZE) for camera in View(found).orbit(CAMERAS)]
+
+
+def coded(scene: Scene, path: list[Any]) -> bytes:
+    """Returns a file that states cameras."""
     from refcodec.rendering.camera import named_camera  # noqa: PLC0415
+
+    named = [named_camera(camera, f"{number}") for number, camera in enumerate(path)]
+    return codec.emit(replace(scene, ancillary=(Ancillary(cameras.CAMERAS, 0, cameras.emit_cameras(named)),)))
+
+
+def drawn(scene: Scene, camera: Any) -> np.ndarray:
+    """Returns what `refcodec render` draws."""
     from refcodec.rendering.view import View, eight_bits  # noqa: PLC0415
 
-    scene = made_static(codec.parse((VALID / "trained-caliterra.c3gs").read_bytes()).scene, request.param)
-    seen = View(scene)
-    orbit = [camera.resized(320, 240) for camera in seen.orbit(CAMERAS)]
-    named = [named_camera(camera, f"{number}") for number, camera in enumerate(orbit)]
-    section = Ancillary(cameras.CAMERAS, 0, cameras.emit_cameras(named))
-    return codec.emit(replace(scene, ancillary=(section,))), [eight_bits(seen.draw(camera)) for camera in orbit]
+    return eight_bits(View(scene).draw(camera))
 
 
 class _Server(ThreadingHTTPServer):
-    """Serves the pages, the module, packages and files, each under a name of its own."""
+    """Serves files of folders, and files in memory, each under a name of its own."""
 
     daemon_threads = True
 
@@ -67,8 +118,8 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         _, first, *rest = self.path.partition("?")[0].split("/")
-        path = self.server.places.get(first, PAGES / first).joinpath(*rest)
-        data = self.server.files.get(first) or (path.read_bytes() if path.is_file() else None)
+        path = self.server.places.get(first, Path(first)).joinpath(*rest)
+        data = self.server.files.get(first) or (path.read_bytes() if rest and path.is_file() else None)
         self.send_response(404 if data is None else 200)
         self.send_header("Content-Type", TYPES.get(path.suffix, "application/octet-stream"))
         self.send_header("Content-Length", str(len(data or b"")))
@@ -79,51 +130,131 @@ class _Handler(BaseHTTPRequestHandler):
         """Logs nothing."""
 
 
-def _image(address: str) -> np.ndarray:
-    """Returns the image of a data URL, uint8 [height, width, 3]."""
+def _image(data: bytes) -> np.ndarray:
+    """Returns an image, uint8 [height, width, 3]."""
     from PIL import Image  # noqa: PLC0415
 
-    return np.asarray(Image.open(io.BytesIO(base64.b64decode(address.partition(",")[2]))).convert("RGB"))
+    return np.asarray(Image.open(io.BytesIO(data)).convert("RGB"))
 
 
-def _pictures(name: str, packages: tuple[str, ...], data: bytes) -> list[np.ndarray]:
-    """Returns what a page draws of a file for each camera. It must report nothing. Skips without its packages."""
-    modules = next((f for f in FOLDERS if all((f / package / "package.json").exists() for package in packages)), None)
-    if modules is None:
-        pytest.skip(f"{' and '.join(packages)} are in no folder of NODE_PATH")
-    with _Server({"modules": modules, "c3gs": WEB}, {"scene.c3gs": data}) as server:
+def _tail(*ends: str) -> str:
+    """Returns what an example has behind it: functions of expressions, for _shown."""
+    return f"\nglobalThis.ends = [{', '.join(f'() => {end}' for end in ends)}];"
+
+
+def _shown(places: dict[str, Path], files: dict[str, bytes]) -> tuple[list[np.ndarray], list[Any]]:
+    """Returns what a page shows after each of its expressions, and their values. It must report nothing."""
+    images, values = [], []
+    with _Server(places, files) as server:
         threading.Thread(target=server.serve_forever, daemon=True).start()
-        with Chromium(str(find()), 320, 240) as browser:
-            browser.open(f"http://127.0.0.1:{server.server_address[1]}/{name}.html")
-            browser.until("globalThis.picture !== undefined")
-            images = [_image(browser.run(f"picture({number})")) for number in range(CAMERAS)]
-            assert browser.said == []
+        with Chromium(str(find()), *SIZE) as browser:
+            browser.open(f"http://127.0.0.1:{server.server_address[1]}/")
+            browser.until("globalThis.ends !== undefined")
+            for number in range(browser.run("ends.length")):
+                browser.run(f"ends[{number}]()")
+                # Workers sort after the first frames. A picture that stays is that of the last order.
+                last: list[bytes] = []
+                while len(last) < 4 or len({*last[-4:]}) > 1 or np.ptp(_image(last[-1])) == 0:
+                    assert len(last) < 60, "the picture does not stay"
+                    time.sleep(0.5)
+                    last.append(browser.screenshot())
+                images.append(_image(last[-1]))
+                values.append(browser.run(f"ends[{number}]()"))
+            # three.js notes that software has no WebGPU.
+            assert [text for text in browser.said if "WebGPU" not in text and "adapters" not in text] == []
         server.shutdown()
-    return images
+    return images, values
 
 
-def _agreement(images: list[np.ndarray], right: list[np.ndarray]) -> list[float]:
-    """Returns the PSNR of each picture, in dB."""
-    pairs = zip(images, right, strict=True)
-    return [10 * np.log10(255**2 / max(np.mean((a.astype(np.float64) - b) ** 2), 1e-9)) for a, b in pairs]
+def _example(modules: Path, code: str, files: dict[str, bytes], *ends: str) -> tuple[list[np.ndarray], list[Any]]:
+    """Returns what an example shows after each expression, and the values."""
+    page = PAGE.format(code=code + _tail(*ends)).encode()
+    return _shown({"modules": modules, "c3gs": WEB}, {"": page, **files})
 
 
-def test_the_viewer_draws_what_render_draws(path: tuple[bytes, list[np.ndarray]], tmp_path: Path) -> None:
-    data, right = path
-    (tmp_path / "scene.html").write_bytes(page("scene.c3gs", data))
-    with Chromium(str(find()), 320, 240) as browser:
+def _agreement(one: np.ndarray, other: np.ndarray) -> float:
+    """Returns the PSNR of two pictures, in dB."""
+    return float(10 * np.log10(255**2 / max(np.mean((one.astype(np.float64) - other) ** 2), 1e-9)))
+
+
+def test_the_viewer_draws_what_render_draws(scene: tuple[Scene, list[Any]], tmp_path: Path) -> None:
+    (tmp_path / "scene.html").write_bytes(page("scene.c3gs", coded(*scene)))
+    with Chromium(str(find()), *SIZE) as browser:
         browser.open((tmp_path / "scene.html").as_uri())
         browser.run("c3gs.settle()")
-        images = [_image(browser.run(f"c3gs.picture(c3gs.cameras[{number}])")) for number in range(CAMERAS)]
+        addresses = [browser.run(f"c3gs.picture(c3gs.cameras[{number}])") for number in range(CAMERAS)]
         assert browser.said == []
-    assert min(_agreement(images, right)) > 45
+    images = [_image(base64.b64decode(address.partition(",")[2])) for address in addresses]
+    assert min(map(_agreement, images, [drawn(scene[0], camera) for camera in scene[1]])) > 45
 
 
-def test_spark_draws_what_render_draws(path: tuple[bytes, list[np.ndarray]]) -> None:
-    images = _pictures("spark", ("three", "@sparkjsdev/spark"), path[0])
-    assert min(_agreement(images, path[1])) > 45
+def test_the_example_of_spark(scene: tuple[Scene, list[Any]], modules: Path) -> None:
+    """It draws the first camera, and another one when the camera has moved."""
+    (code,), (found, path) = examples(WORDS[0]), scene
+    move = "(camera.position.copy(model.cameras[1].position), camera.quaternion.copy(model.cameras[1].quaternion), "
+    up = "camera.matrixWorld.elements[5]"
+    images, ups = _example(modules, code, {"scene.c3gs": coded(found, path)}, up, f"{move} look(), {up})")
+    assert min(map(_agreement, images, [drawn(found, camera) for camera in path])) > 45
+    assert min(ups) > 0.5
 
 
-def test_playcanvas_draws_the_scene(path: tuple[bytes, list[np.ndarray]]) -> None:
+@pytest.mark.parametrize("first", [0, 1])
+def test_the_example_of_playcanvas(scene: tuple[Scene, list[Any]], modules: Path, first: int) -> None:
     """Its Gaussians end at another distance, and are blended in 8 bits."""
-    assert min(_agreement(_pictures("playcanvas", ("playcanvas",), path[0]), path[1])) > 30
+    (code,), (found, path) = examples(WORDS[1]), scene
+    if not found.render.render_model:
+        pytest.skip("its example is for static scenes")
+    (image,), (up,) = _example(modules, code, {"scene.c3gs": coded(found, path[first:])}, "camera.up.y")
+    assert up > 0.5
+    assert _agreement(image, drawn(found, path[first])) > 30
+
+
+def test_the_example_of_gltf(scene: tuple[Scene, list[Any]], modules: Path, tmp_path: Path) -> None:
+    """Its camera is its own. three.js makes small Gaussians transparent instead of larger."""
+    from refcodec.rendering.camera import Camera  # noqa: PLC0415
+
+    (code,), (found, path) = examples(WORDS[2]), scene
+    if not found.render.render_model:
+        pytest.skip("glTF has static scenes only")
+    (tmp_path / "scene.c3gs").write_bytes(coded(found, path))
+    assert main(["export", str(tmp_path / "scene.c3gs"), "-o", str(tmp_path / "scene.glb"), "--glb", "c3gs"]) == 0
+    files = {"scene.glb": (tmp_path / "scene.glb").read_bytes()}
+    end = "[camera.fov, scene.children[0].matrixWorld.clone().invert().multiply(camera.matrixWorld).toArray()]"
+    (image,), ((angle, matrix),) = _example(modules, code, files, end)
+    pose = np.array(matrix).reshape(4, 4).T
+    rotation = (pose[:3, :3] * [1, -1, -1]).T
+    focal = HEIGHT / 2 / np.tan(np.radians(angle) / 2)
+    camera = Camera("", *SIZE, focal, focal, WIDTH / 2, HEIGHT / 2, rotation, -rotation @ pose[:3, 3])
+    assert _agreement(image, drawn(found, camera)) > 28
+
+
+@pytest.mark.skipif(NODE is None, reason=MISSING)
+@pytest.mark.parametrize("manual", [WEB / "README.md", ROOT / "docs" / "page.md"], ids=["README", "page"])
+def test_the_package_installs_as_the_manual_says(
+    scene: tuple[Scene, list[Any]], modules: Path, tmp_path: Path, manual: Path
+) -> None:
+    """In an empty folder: tsc --strict accepts the examples, and Vite's page of one shows the picture."""
+    page, (found, path) = tmp_path / "page", scene
+    page.mkdir()
+    (tmp_path / "c3gs").symlink_to(ROOT)
+
+    def run(*command: str) -> None:
+        done = subprocess.run(command, cwd=page, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stdout + done.stderr
+
+    (block,) = re.findall(r"```sh\n(npm .*?)```", manual.read_text(encoding="utf-8"), re.DOTALL)
+    run("bash", "-euc", f"export npm_config_offline=true\n{block}")
+    for package in modules.iterdir():
+        if not package.name.startswith("."):
+            (page / "node_modules" / package.name).symlink_to(package)
+    for word in WORDS:
+        (page / f"{word}.ts").write_text(examples(word)[0])
+    options = "--noEmit --strict --skipLibCheck --target es2022 --module esnext --moduleResolution bundler"
+    files = [f"{word}.ts" for word in WORDS]
+    run(str(NODE), "node_modules/typescript/bin/tsc", *options.split(), "--lib", "es2022,dom,dom.iterable", *files)
+    (page / "index.html").write_text('<body style="margin: 0"></body><script type="module" src="page.js"></script>')
+    (page / "page.js").write_text(examples(WORDS[0])[0] + _tail("0"))
+    run(str(NODE), "node_modules/vite/bin/vite.js", "build")
+    served = {"": (page / "dist" / "index.html").read_bytes(), "scene.c3gs": coded(found, path), "favicon.ico": b" "}
+    (image,), _ = _shown({"assets": page / "dist" / "assets"}, served)
+    assert _agreement(image, drawn(found, path[0])) > 45

@@ -206,14 +206,14 @@ def test_wrong_calls_are_refused() -> None:
 
 
 def test_the_examples_of_the_manual_run(tmp_path: Path) -> None:
-    """Those of README.md of the package, without three.js."""
+    """Those that are not whole pages."""
     path = tmp_path / "scene.c3gs"
     path.write_bytes(codec.emit(random_scene(54, 12, chunk_size=1, keep=1.0)))
     program = Path(__file__).with_name("readme_web.mjs")
     done = subprocess.run([str(NODE), program, path], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     answer = json.loads(done.stdout)
-    assert answer["ran"] == 4
+    assert answer["ran"] == 5
     assert answer["drawn"] > 0
 
 
