@@ -246,11 +246,12 @@ def missing(user: str, extra: Mapping[str, str], error: ModuleNotFoundError) -> 
 class Command:
     """What a command line has besides the words of its function.
 
-    operands: words that are given without their options. requires: words of which it needs one. writes: whether it has
-    outputs.
+    extra: the extra that it needs, or those, or "". operands: words that are given without their options. requires:
+    words of which it needs one. writes: whether it has outputs.
     """
 
     name: str
+    extra: str
     operands: tuple[str, ...]
     requires: tuple[str, ...]
     writes: bool
@@ -270,6 +271,7 @@ def command(
 
     def decorate(function: Callable[P, R]) -> Callable[P, R]:
         name, signature = SPELLED.get(function.__name__, function.__name__), _signature(function)
+        extras = {"": extra} if isinstance(extra, str) else extra
 
         @wraps(function)
         def call(*args: P.args, **kwargs: P.kwargs) -> R:
@@ -284,10 +286,10 @@ def command(
             try:
                 return function(*bound.args, **bound.kwargs)
             except ModuleNotFoundError as error:
-                raise missing(name, {"": extra} if isinstance(extra, str) else extra, error) from None
+                raise missing(name, extras, error) from None
 
         call.__signature__ = signature  # type: ignore[attr-defined]
-        call.command = Command(name, operands, requires, writes)  # type: ignore[attr-defined]
+        call.command = Command(name, extras[""], operands, requires, writes)  # type: ignore[attr-defined]
         return call
 
     return decorate

@@ -115,7 +115,7 @@ def export(
         return _carried(file, paths, words)
     page = any(path.suffix.lower() == _PAGE for path in paths)
     if page and len(paths) != 1:
-        raise UsageError("a page needs its own command: only splats can be several outputs")
+        raise UsageError(f"a command writes one page, or splats: export {_PAGE} by a command of its own")
     if page:
         check_outputs([file, words.get("photographs")], (paths[0], PAGE))
         return write_page(_shown(file, words), paths[0], words)

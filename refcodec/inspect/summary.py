@@ -176,7 +176,8 @@ def summary(facts: dict[str, Any], name: str) -> Iterator[str]:
     version = f"C3GS version {p['major']}.{p['minor']}" if p else "C3GS version unknown"
     # SPEC 6.1: in any other file the fields have no meaning.
     signed = not p or b"C3GS".hex() in p["signature"]
-    yield f"{name}: {facts['bytes']} bytes, {version if signed else 'not a C3GS file'}"
+    cut = f", NOT WHOLE: its header states {facts['stated_bytes']} bytes" if "stated_bytes" in facts else ""
+    yield f"{name}: {facts['bytes']} bytes, {version + cut if signed else 'not a C3GS file'}"
     if not signed:
         return
     if h:
@@ -203,16 +204,9 @@ def summary(facts: dict[str, Any], name: str) -> Iterator[str]:
     if facts["accepted"]:
         yield f"accepted; digest {facts['digest']['whole']}"
     elif facts["accepted"] is None:
-        yield from _undecided_lines(facts)
+        yield "not decoded; refcodec validate reports whether it is accepted, and inspect --decode also the digest"
     else:
         yield f"NOT ACCEPTED: {facts['error']['code']} {facts['error']['name']}: {facts['error']['text']}"
-
-
-def _undecided_lines(facts: dict[str, Any]) -> Iterator[str]:
-    """Yields the lines for a file that was not decoded."""
-    if "stated_bytes" in facts:
-        yield f"NOT WHOLE: the file has {facts['bytes']} bytes, but its header states {facts['stated_bytes']}"
-    yield "not decoded; refcodec validate reports whether the file is accepted, and inspect --decode also the digest"
 
 
 def _header_lines(facts: dict[str, Any], h: dict[str, Any]) -> Iterator[str]:

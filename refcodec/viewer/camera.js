@@ -37,6 +37,13 @@ export function poseOf({ rotation, translation }, { middle, radius }) {
   return { rotation: matrix, centre, pivot: depth > 0.05 * radius ? depth : radius };
 }
 
+// The cameras of a file by their distance from the first one, the default view. A file lists distant ones first.
+export function nearestFirst(cameras) {
+  const [first, ...places] = cameras.map((camera) => poseOf(camera, { middle: [0, 0, 0], radius: 1 }).centre);
+  const far = new Map(cameras.slice(1).map((camera, i) => [camera, Math.hypot(...add(places[i], first, -1))]));
+  return [...cameras.slice(0, 1), ...[...far.keys()].sort((a, b) => far.get(a) - far.get(b))];
+}
+
 // The up direction, as in refcodec.rendering.view.scene_up: the axis of 6.5, or more precisely the normal of the image
 // rows of the cameras, which levels the horizon.
 export function upOf({ up_axis }, cameras = []) {

@@ -1,5 +1,5 @@
 // The page: opens a file in the worker, draws the frames of the worker, and moves the camera.
-import { around, facing, fitted, lensOf, look, moved, nearer, orbit, poseOf, upOf } from "./camera.js";
+import { around, facing, fitted, lensOf, look, moved, nearer, nearestFirst, orbit, poseOf, upOf } from "./camera.js";
 import { Drawing } from "./draw.js";
 import { Panel } from "./panel.js";
 
@@ -105,7 +105,7 @@ class Viewer {
 
   #about({ cameras, metadata, length, parts }) {
     const photographs = this.settings.photographs.map((photograph) => ({ ...photograph, isPhotograph: true }));
-    this.cameras = [...cameras, ...photographs];
+    this.cameras = [...nearestFirst(cameras), ...photographs];
     this.up = upOf(this.header, cameras);
     this.panel.about(this.name, metadata, this.header, length, parts, this.cameras);
   }

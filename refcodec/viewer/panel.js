@@ -34,7 +34,10 @@ const REASONS = {
   memory: ["Out of memory", "Close other pages and programs, and load this page again."],
   fault: ["This file cannot be shown", ""],
 };
-const CONVERT = ["refcodec convert FILE -o scene", "refcodec encode scene -o scene.c3gs", ""];
+const CONVERT = [
+  "refcodec convert FILE -o scene.c3gs --fast", "", "refcodec convert FILE -o scene",
+  "refcodec encode scene -o scene.c3gs", "",
+];
 
 // The most characters that are shown of a text.
 const TITLE_MAX = 120;
@@ -226,7 +229,7 @@ export class Panel {
 
 // The details below the heading, as sentences.
 function why({ kind, text, bound, needed, allowed, looks }) {
-  if (looks?.isConverted) return `${looks.text} Two commands convert it to C3GS:`;
+  if (looks?.isConverted) return `${looks.text} One command codes it in about a minute, or two train a smaller file:`;
   if (looks !== undefined) return looks.text;
   if (bound === "memory") return `It needs ${readable(needed)} of memory; the page allows ${readable(allowed)}.`;
   if (bound === "anchors") return `It has ${whole(needed)} anchors; the page allows ${whole(allowed)}.`;

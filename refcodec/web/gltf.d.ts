@@ -26,9 +26,11 @@ export interface Parser {
  * A plugin of GLTFLoader: compressed primitives get their attributes as if they were in the file as plain numbers.
  *
  * Without a plugin for KHR_gaussian_splatting itself, such as GLTFGaussianSplatLoaderExtension of three.js, the loader
- * makes white `Points` of them. That extension needs WebGPURenderer with `outputColorSpace = LinearSRGBColorSpace`, since
- * the colours of a file are those of the display. Errors of `decodeAttributes` reach the caller of the loader, and so does an Error for a
- * primitive that does not describe the Gaussians of its C3GS file.
+ * makes white `Points` of them. That extension needs WebGPURenderer with `outputColorSpace = LinearSRGBColorSpace`:
+ * the colours of a file are those of the display.
+ *
+ * Errors of `decodeAttributes` reach the caller of the loader, and so does an Error for a primitive that does not
+ * describe the Gaussians of its C3GS file.
  */
 export class C3gsGltfPlugin {
   /** options: of `decode`. */

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import importlib
 import re
 import shlex
+import tomllib
 from pathlib import Path
 
 import pytest
 from blocks import PAGES, ROOT, Block, Desk, blocks, runnable
 
 from conformance.cli.main import main as conformance
+from refcodec import api
 from refcodec.cli.main import main as refcodec
 
 # What is written here is complete: another mark is a slip.
@@ -78,6 +81,24 @@ def _options(program: str, command: str, capsys: pytest.CaptureFixture[str]) -> 
     else:
         assert PROGRAMS[program]([command, "--help"]) == 0, command
     return set(re.findall(r"(?<![\w-])--?[a-z][\w-]*", capsys.readouterr().out))
+
+
+def test_the_manual_states_what_an_installation_needs() -> None:
+    """The decoder's packages, and the commands of each extra."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    text = (ROOT / "docs" / "first-steps.md").read_text(encoding="utf-8")
+    (stated,) = re.findall(r"It needs ([^:]*):", text)
+    needed = [re.split(r"\W", line)[0] for line in project["dependencies"]]
+    assert sorted(re.split(r",? and |,\s+", stated)) == sorted(needed)
+    rows = re.findall(r"^\| `.*", text, re.MULTILINE)
+    assert {name for row in rows for name in re.findall(r"`(\w+)`", row.split("|")[1])} <= {
+        *project["optional-dependencies"]
+    }
+    for module, names in api.COMMANDS.items():
+        for name in names:
+            command = getattr(importlib.import_module(f"{api.__name__}.{module}"), name).command
+            if own := command.extra.split(",")[-1]:
+                assert any(f"`{own}`" in row.split("|")[1] and f"`{command.name}" in row.split("|")[2] for row in rows)
 
 
 def test_no_page_is_forgotten() -> None:

@@ -89,7 +89,7 @@ def exported(
 
 @pytest.mark.slow
 def test_the_page_draws_what_render_draws(browser: Chromium, exported: tuple[Path, dict[str, Path]]) -> None:
-    """It is opened from the disk, asks for nothing, and its pictures from three cameras agree to 35 dB."""
+    """It is opened from the disk, asks for nothing, and its pictures from three cameras agree to 50 dB."""
     from PIL import Image  # noqa: PLC0415
 
     output, images = exported
@@ -109,7 +109,7 @@ def test_the_page_draws_what_render_draws(browser: Chromium, exported: tuple[Pat
         assert made.shape == right.shape
         assert right.std() > 10
         psnr = 10 * np.log10(255**2 / np.mean((made - right) ** 2))
-        assert psnr > 35, f"{name}: {psnr:.1f} dB"
+        assert psnr > 50, f"{name}: {psnr:.1f} dB"
         compared += 1
     assert compared == 3
     outside = [url for url in browser.asked if not url.startswith(("file:", "blob:", "data:"))]
@@ -171,6 +171,13 @@ def test_texts_that_cannot_be_shown(browser: Chromium, trained: Path, tmp_path: 
     assert all(text.isprintable() and printable(steering) in text and len(text) < 300 for text in shown)
 
 
+def test_cameras_near_the_default_come_first(browser: Chromium, trained: Path, tmp_path: Path) -> None:
+    scene = parse(trained.read_bytes()).scene
+    listed = [replace(next(iter(cameras(scene.ancillary))), name=f"{x}", translation=(x, 0, 9)) for x in (5, 40, 6, -9)]
+    _show(browser, tmp_path, emit(replace(scene, ancillary=(Ancillary(CAMERAS, 0, emit_cameras(listed)),))))
+    assert browser.run("c3gs.cameras.map(({ name }) => name)") == ["5", "6", "-9", "40"]
+
+
 def test_the_rule_for_texts(browser: Chromium) -> None:
     """It is that of refcodec.files.text, for the characters that both know: those of Unicode 3.2, and surrogates."""
     script = bundle(ROOT / "refcodec" / "viewer" / "text.js")
@@ -226,7 +233,10 @@ def test_a_file_that_needs_too_much_memory(browser: Chromium, tmp_path: Path) ->
 @pytest.mark.parametrize(
     ("data", "parts"),
     [
-        (b"ply\nformat ascii 1.0\n", ["not a C3GS file", "looks like a PLY file", "refcodec convert", "error 102"]),
+        (
+            b"ply\nformat ascii 1.0\n",
+            ["not a C3GS file", "looks like a PLY file", "--fast", "refcodec encode", "error 102"],
+        ),
         (b"\x1f\x8b" + bytes(99), ["not a C3GS file", "looks like an SPZ file", "refcodec convert"]),
         (b"PK\3\4" + bytes(99), ["not a C3GS file", "ZIP", "refcodec convert"]),
         (b"<!DOCTYPE html>", ["not a C3GS file", "looks like a web page", "error 101"]),
