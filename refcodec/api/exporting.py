@@ -68,6 +68,10 @@ def export(
 
     --photographs adds photographs to a page for comparison. The rest of this text is about splats.
 
+    Other programs make each Gaussian larger by a filter of their own, in 3DGS of 0.3 square pixels. FILE may state less
+    (low_pass): with 0.1, a picture by 3DGS loses 1.4 dB, and 4.8 at half the size (docs/programs.md). A .glb is sorted
+    by the distance from the camera, and FILE by depth.
+
     A static scene has ordinary Gaussians, which are written as they are: .ply and .glb lose nothing, .spz and .sog what
     the format loses. The options of the fit do not apply.
 

@@ -27,7 +27,7 @@ export interface PlayCanvasProperty {
 /**
  * The argument of `GSplatData` of `playcanvas` 2: the properties of PLY files of 3DGS, an array for each.
  *
- * PlayCanvas adds 0.3 square pixels to covariances, whatever the header states as `low_pass`.
+ * PlayCanvas adds 0.075 square pixels to covariances, whatever the header states as `low_pass`.
  */
 export function playCanvasElements(
   gaussians: PlainGaussians,

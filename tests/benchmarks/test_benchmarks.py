@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from benchmarks import __main__ as front_door
-from benchmarks import converted, exports, front, gpu, results, worst
+from benchmarks import converted, exports, front, gpu, results, viewers, worst
 from benchmarks.large import TRAINED, large_file, made_static
 from benchmarks.peers import __main__ as peers
 from benchmarks.peers.speed import repeated
@@ -183,6 +183,14 @@ def test_exports(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[
     rows = printed(capsys)
     assert [row[:3] for row in rows if row[1] == ".sog"] == [["a", ".sog", "0"], ["b", ".sog", "2"]]
     assert len(rows) == 12
+
+
+def test_viewers_need_packages(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(viewers, "FOLDER", tmp_path)
+    assert viewers.main(["--scene", "a", str(TRAINED), str(CALITERRA)]) == 64
+    assert viewers.INSTALL in capsys.readouterr().err
 
 
 @pytest.mark.slow
