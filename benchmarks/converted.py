@@ -1,150 +1,199 @@
-"""Splat files converted to C3GS, compared with SPZ and SOG of the same file: a section of RESULTS.md.
+"""Splats coded by convert --fast, compared with SPZ and SOG at equal quality: a section of RESULTS.md.
 
-python -m benchmarks.converted FOLDER SPLATS ... --up=-y [--lambdas 0.001 0.004 0.015] [--fast 35 40 46 52] [--write]
+python -m benchmarks.converted FOLDER SPLATS ... --up=-y [--fast 36 40 43 46 50] [--write]
 
-`refcodec convert` trains a scene from views of each file of SPLATS, and the scene is encoded. `refcodec convert --fast`
-codes the Gaussians themselves. refcodec and splat-transform write SPZ and SOG. Test cameras compare renderings of all
-files with those of SPLATS. FOLDER keeps the files: finished commands are not repeated, interrupted trainings go on.
+`refcodec convert --fast` codes each file of SPLATS at several qualities. refcodec, Niantic's library (by gaussforge of
+PyPI, if it is installed) and splat-transform (if it is) write SPZ and SOG. Cameras at random places around the splats,
+near their surfaces and inside, which no encoder has seen, compare renderings of all files with those of SPLATS. FOLDER
+keeps the files: finished commands are not repeated.
 """
 
 from __future__ import annotations
 
 import argparse
+import importlib
+import json
+import math
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
 from statistics import fmean
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from refcodec.bitstream.codec import parse
-from refcodec.convert.drawing import drawn, tensors
-from refcodec.convert.views import AXES, NEAR, NEAR_MAX, TEST, TEST_EVERY, middle_and_radius, orbit
-from refcodec.evaluate.quality import measures
-from refcodec.experiments.jobs import Job, RunError, Step, Watch, run_jobs
+from refcodec.convert.views import ANGLE, AXES, middle_and_radius, near_plane
 from refcodec.files.text import printable
 from refcodec.formats.common import Options
 from refcodec.formats.splats import Splats
 from refcodec.formats.table import read_splats, write_splats
-from refcodec.rendering.camera import Camera, axis_direction
-from refcodec.rendering.rasterise import Settings
-from refcodec.rendering.view import View, eight_bits
-from refcodec.statuses import DONE, INTERRUPTED, USAGE, UsageError
+from refcodec.rendering.camera import Camera, axis_direction, looking
+from refcodec.rendering.gaussians import static_splats
+from refcodec.rendering.rasterise import Settings, draw
+from refcodec.statuses import DONE, USAGE, UsageError
 
-from .peers.convert import INSTALL, VERSION, ToolError, convert, tool
-from .results import machine, publish, table
+from .peers.convert import VERSION, ToolError, convert, tool
+from .resident import usage
+from .results import machine, mib, publish, table
 
-OWN, TOOL = "refcodec", f"splat-transform {VERSION}"
-FORMATS = (".spz", ".sog")
-HEAD = ["of", "file", "by", "bytes", "of the splat file", "PSNR, dB", "SSIM", "", "processor, s"]
+KINDS = ("around", "near", "inside")
+HEAD = ["of", "by", "bytes", *KINDS, "PSNR, dB", "the worst", "--fast, bytes", "times", "processor, s", "MiB"]
 NOTE = (
-    "Test cameras compare the eight-bit renderings of all files with those of the splat file, by scikit-image. SPZ and",
-    "SOG are read by the program that wrote them, and rendered as plain 3DGS. One thread each.",
+    "PSNR: the means of eight-bit renderings, each compared with that of the splat file: from random places around,",
+    "near surfaces and inside, half of them 400 and half 900 pixels wide, which no encoder has measured. --fast,",
+    "bytes: those of --fast at equal PSNR, interpolated; times: the bytes of the file relative to these. One thread",
+    "each.",
 )
+# The least share of a picture that Gaussians cover, and how far from solid ones a camera stands, in radii.
+COVERED, CLEAR = 0.3, 0.02
+# The largest PSNR of a picture that counts: of equal pictures it is infinite.
+MOST = 60.0
 
 
-class SplatFile:
-    """A splat file, and the pictures of its test cameras, which are those of refcodec convert.
+def looks(splats: Splats, up: NDArray[np.float64], each: int, settings: Settings) -> dict[str, list[Camera]]:
+    """Returns cameras at random places, by KINDS. each: how many of each kind. up: float64 [3]."""
+    random, (middle, radius) = np.random.default_rng(20), middle_and_radius(splats)
+    mean = splats.mean.astype(np.float64)
+    core = np.linalg.norm(mean - middle, axis=1) <= radius
+    opacity, area = 1 / (1 + np.exp(-splats.opacity)), np.exp(splats.scale.astype(np.float64)).max(axis=1) ** 2
+    share = core * opacity * np.minimum(area, (0.05 * radius) ** 2)
+    solid = mean[core & (opacity >= min(0.3, opacity[core].max()))]
+    tree, (low, high) = KDTree(solid), np.quantile(solid, (0.1, 0.9), axis=0)
+    made: dict[str, list[Camera]] = {kind: [] for kind in KINDS}
+    for kind, number in ((kind, number) for kind in KINDS for number in range(each)):
+        for _ in range(200):
+            direction = random.normal(size=3)
+            direction -= (0.5 if kind == "inside" else 0.2) * (direction @ up) * up
+            direction /= np.linalg.norm(direction)
+            place = middle - direction * radius * random.uniform(1, 2) / math.sin(ANGLE / 2)
+            if kind == "near":
+                target = mean[random.choice(len(mean), p=share / share.sum())]
+                place = target - direction * radius * math.exp(random.uniform(math.log(0.1), math.log(0.8)))
+            if kind == "inside":
+                place = random.uniform(low, high)
+            side = 400 if number % 2 else 900
+            small, camera = (
+                Camera(f"{kind}_{number}", w, w, f, f, w / 2, w / 2, turned, -turned @ place)
+                for w, turned in ((64, looking(direction, up)), (side, looking(direction, up)))
+                for f in [w / 2 / math.tan(ANGLE / 2)]
+            )
+            covered = 1 - draw(splats, small, settings).transmittance.mean()
+            if tree.query(place)[0] >= CLEAR * radius and covered >= (COVERED if kind != "around" else 0.01):
+                break
+        made[kind].append(camera)
+    return made
 
-    up: its upward axis, of AXES. views: training pictures. size: their sides in pixels.
-    """
 
-    def __init__(self, file: Path, up: str, views: int, size: int) -> None:
-        """Raises ValueError and OSError."""
-        self.file, self.splats = file, read_splats(file)
+class Source:
+    """A splat file, the cameras that judge its codings, and its pictures."""
+
+    def __init__(self, file: Path, up: str, each: int) -> None:
+        """up: its upward axis, of AXES. each: cameras of a kind. Raises ValueError and OSError."""
+        self.file, self.up, self.splats = file, up, read_splats(file)
         self.name = file.name.removesuffix(file.suffix).removesuffix(".compressed")
-        self.options = ("--views", str(views), f"--up={up}", "--size", str(size))
-        self.cameras = orbit(self.splats, AXES[up], size, views, max(views // TEST_EVERY, 1))[TEST]
-        self.settings = Settings(near_plane=min(NEAR * middle_and_radius(self.splats)[1], NEAR_MAX))
+        self.settings = Settings(near_plane=near_plane(self.splats))
+        self.cameras = looks(self.splats, AXES[up], each, self.settings)
 
-    def image(self, splats: Splats, camera: Camera) -> NDArray[np.float32]:
-        """Returns a picture of Gaussians by a camera."""
-        picture: NDArray[np.float32] = drawn(tensors(splats), camera, self.settings)[0].numpy()
-        return picture
+    def pictures(self, splats: Splats, kind: str) -> list[NDArray[np.float32]]:
+        """Returns the pictures of Gaussians from the cameras of a kind, as eight bits show them."""
+        images = (draw(splats, camera, self.settings).image for camera in self.cameras[kind])
+        return [(np.rint(image.clip(0, 1) * 255) / 255).astype(np.float32) for image in images]
 
     @cached_property
-    def truth(self) -> list[NDArray[np.uint8]]:
-        """The test pictures of the file itself."""
-        return [eight_bits(self.image(self.splats, camera)) for camera in self.cameras]
+    def truth(self) -> dict[str, list[NDArray[np.float32]]]:
+        """The pictures of the file itself, by kind."""
+        return {kind: self.pictures(self.splats, kind) for kind in KINDS}
 
-    def row(
-        self, label: str, by: str, file: Path, image: Callable[[Camera], NDArray[np.float32]], *more: str
-    ) -> list[str]:
-        rows = [measures(image(camera), right) for camera, right in zip(self.cameras, self.truth, strict=True)]
-        size = file.stat().st_size
-        figures = [f"{fmean(row['psnr'] for row in rows):.2f}", f"{fmean(row['ssim'] for row in rows):.4f}"]
-        return [
-            self.name,
-            label,
-            by,
-            f"{size:,}",
-            f"{size / self.file.stat().st_size:.3f}",
-            *figures,
-            *(more or ("", "")),
-        ]
+    def measured(self, splats: Splats) -> dict[str, list[float]]:
+        """Returns the PSNR of each picture of coded Gaussians, in dB, by kind."""
+        pairs = {kind: zip(self.pictures(splats, kind), self.truth[kind], strict=True) for kind in KINDS}
+        least = 10 ** (-MOST / 10)
+        return {
+            kind: [float(-10 * np.log10(max(np.square(a - b).mean(), least))) for a, b in own]
+            for kind, own in pairs.items()
+        }
 
-    def packed(self, suffix: str, maker: str, folder: Path) -> list[str]:
-        """Returns the row of SPZ or SOG, written and read by its maker. Raises ToolError."""
-        file = folder / f"{self.name}-{maker.partition(' ')[0]}{suffix}"
-        again = file.with_name(f"{file.name}.ply")
-        if maker == OWN:
-            file.write_bytes(write_splats(self.splats, suffix, Options(axis_direction(0))))
-        else:
-            convert(self.file, file)
-            convert(file, again)
-        splats = read_splats(file if maker == OWN else again)
-        return self.row(suffix, maker, file, lambda camera: self.image(splats, camera))
-
-    def jobs(self, lambdas: Sequence[float], qualities: Sequence[float], steps: int, folder: Path) -> dict[str, Job]:
-        """Returns the jobs that make the files of C3GS, by their words in the table. The last step makes the file."""
-        made: dict[str, Job] = {}
-
-        def convert_to(place: Path, output: Path, *words: str) -> Step:
-            words = ("convert", str(self.file), "-o", str(place), *words)
-            state = place.with_name(f"{place.name}.train-state") if place != output else None
-            return Step(words, output, (self.file,), state=state)
-
-        for psnr in qualities:
-            file = folder / f"{self.name}-fast-{psnr:g}.c3gs"
-            step = convert_to(file, file, "--fast", "--psnr", f"{psnr:g}", self.options[2])
-            made[f"--fast --psnr {psnr:g}"] = Job(file.stem, file.with_suffix(".json"), (step,))
-        for value in lambdas:
-            scene, file = folder / f"{self.name}-{value:g}", folder / f"{self.name}-{value:g}.c3gs"
-            report, more = scene / "training.json", ("--steps", str(steps), "--lambda", f"{value:g}")
-            train = convert_to(scene, report, *self.options, *more)
-            encode = Step(("encode", str(scene), "-o", str(file)), file, (report,))
-            made[f"lambda_r {value:g}"] = Job(scene.name, Path(f"{scene}.json"), (train, encode))
-        return made
+    def row(self, by: str, size: int, splats: Splats) -> tuple[float, list[str]]:
+        """Returns the PSNR of coded Gaussians, and the first cells of their row."""
+        each = self.measured(splats)
+        kinds, worst = [fmean(values) for values in each.values()], min(min(values) for values in each.values())
+        figures = (f"{value:.2f}" for value in (*kinds, fmean(kinds), worst))
+        return fmean(kinds), [self.name, by, f"{size:,}", *figures]
 
 
-def section(sources: Sequence[SplatFile], options: argparse.Namespace) -> list[str]:
-    """Returns the lines of the section. Raises ToolError, UsageError, RunError, ValueError and OSError."""
+def made(command: Sequence[str], output: Path) -> dict[str, float]:
+    """Runs refcodec, if it has not made the output before. Returns what it took. Raises UsageError."""
+    note = output.with_suffix(".json")
+    if not (note.exists() and output.exists()):
+        spent = usage(
+            [sys.executable, "-m", "refcodec", *command], dict.fromkeys(("OMP_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
+        )
+        if spent.status != DONE:
+            raise UsageError(f"refcodec {' '.join(command)}: exit status {spent.status}")
+        note.write_text(json.dumps({"processor": spent.processor, "peak": spent.peak}))
+    took: dict[str, float] = json.loads(note.read_text())
+    return took
+
+
+def others(source: Source, folder: Path) -> dict[str, tuple[int, Splats]]:
+    """Returns the bytes and the Gaussians of the files of other formats, by their writers. Raises ToolError."""
+    found, stem = dict[str, tuple[int, Splats]](), folder / source.name
+    plain = Path(f"{stem}-plain.ply")
+    plain.write_bytes(write_splats(source.splats, ".ply", Options(axis_direction(0))))
+    own = Path(f"{stem}-own.spz")
+    own.write_bytes(write_splats(source.splats, ".spz", Options(axis_direction(0))))
+    found["refcodec, SPZ"] = own.stat().st_size, read_splats(own)
+    try:
+        forge = importlib.import_module("gaussforge").GaussForge()
+    except ImportError:
+        print("gaussforge is missing: no row of Niantic's SPZ 4", file=sys.stderr)
+    else:
+        coded = Path(f"{stem}-niantic.spz")
+        coded.write_bytes(forge.convert(plain.read_bytes(), "ply", "spz", spz_version=4)["data"])
+        found["Niantic's library, SPZ 4"] = coded.stat().st_size, read_splats(coded)
     if tool() is None:
-        raise ToolError(f"splat-transform is missing: run `{INSTALL}` in the repository's folder")
-    folder, rows = options.folder.absolute(), list[list[str]]()
+        print("splat-transform is missing: no row of its SOG", file=sys.stderr)
+    else:
+        sog, again = Path(f"{stem}-tool.sog"), Path(f"{stem}-tool.sog.ply")
+        if not again.exists():
+            convert(plain, sog)
+            convert(sog, again)
+        found[f"splat-transform {VERSION}, SOG"] = sog.stat().st_size, read_splats(again)
+    return found
+
+
+def section(sources: Sequence[Source], qualities: Sequence[float], folder: Path) -> list[str]:
+    """Returns the lines of the section. Raises ToolError, UsageError, ValueError and OSError."""
     folder.mkdir(parents=True, exist_ok=True)
-    if folder in [source.file.absolute().parent for source in sources]:
-        raise ToolError(f"{folder} has a splat file: choose another folder for the results")
+    rows = list[list[str]]()
     for source in sources:
-        jobs = source.jobs(options.lambdas, options.fast, options.steps, folder)
-        outcomes, stopped = run_jobs([*jobs.values()], options.jobs, watch=Watch(len(jobs), 0))
-        for outcome in outcomes:
-            if outcome.status != DONE:
-                raise RunError(outcome.text, outcome.status)
-        if stopped:
-            raise RunError("stopped; the same command continues", INTERRUPTED)
-        own = source.file.stat().st_size
-        gaussians = f"{len(source.splats.mean):,} Gaussians"
-        rows.append([source.name, source.file.suffix, "", f"{own:,}", "1", "", "", gaussians, ""])
-        rows += [source.packed(suffix, maker, folder) for suffix in FORMATS for maker in (OWN, TOOL)]
-        for by, job in jobs.items():
-            view = View(parse(job.steps[-1].output.read_bytes()).scene)
-            spent = f"{job.entries()['convert'].processor_seconds:.0f}"
-            anchors = f"{len(view.masks):,} anchors"
-            rows.append(source.row(".c3gs", by, job.steps[-1].output, view.draw, anchors, spent))
+        curve = list[tuple[float, int]]()
+        rows.append([source.name, f"{len(source.splats.mean):,} Gaussians", f"{source.file.stat().st_size:,}"])
+        rows[-1] += [""] * (len(HEAD) - 3)
+        for wanted in qualities:
+            output = (folder / f"{source.name}-fast-{wanted:g}.c3gs").absolute()
+            words = ["convert", str(source.file.absolute()), "-o", str(output), "--fast", f"--up={source.up}"]
+            took = made([*words, "--psnr", f"{wanted:g}"], output)
+            size, splats = output.stat().st_size, static_splats(parse(output.read_bytes()).scene)
+            reached, figures = source.row(f"--fast --psnr {wanted:g}", size, splats)
+            curve.append((reached, size))
+            rows.append([*figures, "", "", f"{took['processor']:.0f}", mib(took["peak"])])
+        for by, (size, splats) in others(source, folder.absolute()).items():
+            reached, figures = source.row(by, size, splats)
+            own = equal_bytes(sorted(curve), reached)
+            rows.append([*figures, *([f"{own:,.0f}", f"{size / own:.2f}"] if own else ["", ""]), "", ""])
     return table(HEAD, rows)
+
+
+def equal_bytes(curve: Sequence[tuple[float, int]], reached: float) -> float | None:
+    """Returns the bytes of a curve at a PSNR, None beyond its ends. curve: ascending PSNR, dB, and bytes."""
+    values, sizes = np.array(curve).T
+    if not values[0] <= reached <= values[-1]:
+        return None
+    return float(np.exp(np.interp(reached, values, np.log(sizes))))
 
 
 def main(words: list[str] | None = None) -> int:
@@ -155,23 +204,23 @@ def main(words: list[str] | None = None) -> int:
     parser.add_argument("folder", type=Path)
     parser.add_argument("splats", type=Path, nargs="+")
     parser.add_argument("--up", choices=AXES, default="-y", help="axis that is up (-y); write --up=-y")
-    for name, default, text in (("views", 200, "training pictures"), ("size", 400, "their sides"), ("steps", 4000, "")):
-        parser.add_argument(f"--{name}", type=int, default=default, help=f"{text} ({default})")
-    parser.add_argument("--jobs", type=int, default=2, help="training runs at a time (2)")
-    parser.add_argument("--fast", type=float, nargs="*", default=[35, 40, 46, 52], metavar="DB", help="qualities, dB")
-    parser.add_argument("--lambdas", type=float, nargs="*", default=[0.001, 0.004, 0.015], metavar="L", help="lambda_r")
+    parser.add_argument("--each", type=int, default=8, help="cameras of each kind that judge (8)")
+    parser.add_argument(
+        "--fast", type=float, nargs="+", default=[36, 40, 43, 46, 50], metavar="DB", help="qualities, dB"
+    )
     parser.add_argument("--write", action="store_true", help="write the section of benchmarks/RESULTS.md")
     options = parser.parse_args(words)
     try:
-        sources = [SplatFile(file, options.up, options.views, options.size) for file in options.splats]
-        lines = section(sources, options)
+        sources = [Source(file, options.up, options.each) for file in options.splats]
+        lines = section(sources, options.fast, options.folder)
     except (ToolError, UsageError, ValueError, OSError) as error:
         print(printable(str(error), lines=True), file=sys.stderr)
         return USAGE
     files = " ".join(source.file.name for source in sources)
     command = f"`python -m benchmarks.converted FOLDER {files} --up={options.up}`"
-    made = [command, "", machine("torch"), *NOTE, "", *lines]
-    return publish("converted", "Converted splat files", made, options.write)
+    return publish(
+        "converted", "Converted splat files", [command, "", machine("torch"), *NOTE, "", *lines], options.write
+    )
 
 
 if __name__ == "__main__":

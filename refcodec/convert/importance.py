@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
-from ..formats.splats import Splats
+from ..formats.splats import Splats, rows_of
 from ..rendering.camera import Camera
-from ..rendering.rasterise import Settings
-from .drawing import drawn
+from ..rendering.projection import lens_of, project_gaussians, view_of
+from ..rendering.rasterise import Rendering, Settings, draw, rasterise_backward
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -20,8 +19,10 @@ F64 = NDArray[np.float64]
 # The columns of a table of numbers, [n, 7 + 3 H] for H harmonics: logarithms of the lengths, the logit of the opacity,
 # x, y, z of a quaternion whose w is 1, and red, green and blue of each harmonic.
 LENGTHS, LOGIT, TURN, COLOUR = slice(0, 3), slice(3, 4), slice(4, 7), slice(7, None)
+# Gaussians of a block, whose temporary arrays are small.
+BLOCK = 1 << 16
 # Random pictures of signs, for each camera.
-PROBES = 2
+PROBES, SIGNS = 2, np.float32([-1, 1])
 # Of a Gaussian that fills a picture: the squared contrast to what is behind it, the mean square of exp(-r^2 / 2) over
 # its pixels, and the mean square of a harmonic over directions. The least axis is this share of the longest one: a
 # thinner one is below a pixel.
@@ -61,80 +62,101 @@ def _axis_turns() -> tuple[F64, NDArray[np.int64]]:
     return np.array(turns), np.array(axes)
 
 
-def numbers(splats: Splats) -> F64:
-    """Returns the table of numbers of Gaussians, float64 [n, 7 + 3 H].
+def numbers(splats: Splats) -> F32:
+    """Returns the table of numbers of Gaussians, float32 [n, 7 + 3 H].
 
     Of the 24 equal choices of a Gaussian's axes, it has the one whose rotation is the smallest: x, y and z are then
     below 1, and lengths are those along the world's axes, nearly.
     """
-    count, quaternion = len(splats.mean), splats.unit_quaternions()
     turns, axes = _axis_turns()
-    # The rotation part w of the product with a turn is a scalar product.
-    chosen = np.abs(quaternion @ (turns * (1, -1, -1, -1)).T).argmax(axis=1)
-    turned = _product(quaternion, turns[chosen])
-    lengths = np.take_along_axis(splats.scale.astype(np.float64), axes[chosen], axis=1)
-    colour = np.concatenate([splats.base, splats.rest.reshape(count, -1)], axis=1)
-    own = turned[:, 1:] / turned[:, :1]
-    return np.concatenate([lengths, splats.opacity[:, None], own, colour], axis=1, dtype=np.float64)
+    table = np.empty((len(splats.mean), COLOUR.start + splats.base.shape[1] * (1 + splats.rest.shape[1])), np.float32)
+    for begin in range(0, len(table), BLOCK):
+        rows = slice(begin, begin + BLOCK)
+        part, own = Splats(*(values[rows] for values in vars(splats).values())), table[rows]
+        quaternion = part.unit_quaternions()
+        # The rotation part w of the product with a turn is a scalar product.
+        chosen = np.abs(quaternion @ (turns * (1, -1, -1, -1)).T).argmax(axis=1)
+        turned = _product(quaternion, turns[chosen])
+        own[:, LENGTHS] = np.take_along_axis(part.scale, axes[chosen], axis=1)
+        own[:, LOGIT.start], own[:, TURN] = part.opacity, turned[:, 1:] / turned[:, :1]
+        own[:, COLOUR] = part.coefficients.reshape(len(own), -1)
+    return table
 
 
-def tensors_of(mean: Tensor, table: Tensor) -> dict[str, Tensor]:
-    """Returns Gaussians as drawing.Tensors. mean: [n, 3]. table: [n, 7 + 3 H]."""
-    colour = table[:, COLOUR].reshape(len(table), -1, 3)
-    return {
-        "mean": mean,
-        "base": colour[:, 0],
-        "rest": colour[:, 1:],
-        "opacity": table[:, LOGIT.start],
-        "scale": table[:, LENGTHS],
-        "quaternion": torch.cat([torch.ones_like(table[:, :1]), table[:, TURN]], dim=1),
-    }
+def splats_of(mean: F32, table: F32) -> Splats:
+    """Returns Gaussians of a table of numbers, mostly as views. mean: [n, 3]. table: float32 [n, 7 + 3 H]."""
+    colour = table[:, COLOUR].reshape(len(table), (table.shape[1] - COLOUR.start) // 3, 3)
+    quaternion = np.concatenate([np.ones_like(table[:, :1]), table[:, TURN]], axis=1)
+    return Splats(mean, colour[:, 0], colour[:, 1:], table[:, LOGIT.start], table[:, LENGTHS], quaternion)
 
 
-def own_importance(table: F64) -> tuple[F64, F64, F64]:
-    """Returns the importance in a picture that a Gaussian fills: of means [n, 3], of the table, and of absence [n].
+def seen(splats: Splats, camera: Camera, settings: Settings) -> tuple[NDArray[np.int64], Rendering]:
+    """Returns the numbers of the Gaussians that a camera shows, and the drawing of these alone."""
+    lengths, opacity = np.exp(splats.scale), logistic(splats.opacity)
+    shape = splats.mean, splats.quaternion, lengths, opacity, np.zeros_like(splats.mean)
+    size = camera.width, camera.height, settings.low_pass, settings.near_plane
+    rows = np.flatnonzero(project_gaussians(shape, view_of(camera), lens_of(camera), *size)[3])
+    return rows, draw(rows_of(splats, rows), camera, settings)
+
+
+def logistic(x: NDArray[Any]) -> NDArray[Any]:
+    """Returns 1 / (1 + exp(-x))."""
+    y: NDArray[Any] = 1 / (1 + np.exp(-x))
+    return y
+
+
+def own_importance(table: F32) -> F64:
+    """Returns the importance in a picture that a Gaussian fills: [n, 6], as importance, and that of its absence.
 
     An error matters in relation to the Gaussian's own size, and by the square of its opacity. A view along an axis
     shows the other two: the area that a thin axis has counts as little as it is.
     """
-    alpha = 1 / (1 + np.exp(-table[:, LOGIT]))
-    lengths = np.exp(table[:, LENGTHS])
-    lengths = np.maximum(lengths, THIN * lengths.max(axis=1, keepdims=True))
-    first, second, third = -np.sort(-lengths, axis=1).T[:, :, None]
-    seen = alpha**2 * SQUARE * CONTRAST
+    alpha = logistic(table[:, LOGIT.start].astype(np.float64))
+    lengths = np.exp(table[:, LENGTHS].astype(np.float64))
+    first, second, third = np.maximum(-np.sort(-lengths, axis=1).T, THIN * lengths.max(axis=1))
+    shown = alpha**2 * SQUARE * CONTRAST
 
-    def turned(long: F64, short: F64, area: F64) -> F64:
+    def turned(long: F64, short: F64, area: F64 | float) -> F64:
         """A turn in the plane of two axes moves their ends across."""
         moved: F64 = area * (long**2 - short**2) ** 2 / (long**3 * short)
         return moved
 
-    by_number = np.empty_like(table)
-    by_number[:, LENGTHS] = seen / 2 * (1 + (second + third) / first) / 3
-    by_number[:, LOGIT] = (alpha * (1 - alpha)) ** 2 * SQUARE * CONTRAST
-    turns = turned(first, second, np.ones_like(first)) + turned(first, third, third / second)
-    by_number[:, TURN] = 4 * seen * (turns + turned(second, third, third / first)) / 3
-    by_number[:, COLOUR] = alpha**2 * SQUARE * HARMONIC
-    by_mean = np.repeat(seen * (1 / first**2 + 1 / (first * second) + 1 / (first * third)) / 3, 3, axis=1)
-    return by_mean, by_number, seen[:, 0]
+    turns = turned(first, second, 1) + turned(first, third, third / second) + turned(second, third, third / first)
+    columns = (
+        shown * (1 / first**2 + 1 / (first * second) + 1 / (first * third)) / 3,
+        shown / 2 * (1 + (second + third) / first) / 3,
+        (alpha * (1 - alpha)) ** 2 * SQUARE * CONTRAST,
+        4 * shown * turns / 3,
+        alpha**2 * SQUARE * HARMONIC,
+        shown,
+    )
+    return np.stack(columns, axis=1)
 
 
 def importance(
-    mean: F32, table: F64, cameras: Sequence[Camera], settings: Settings, progress: Callable[[str, int, int], None]
-) -> tuple[F64, F64]:
-    """Returns the importance of each number: of means [n, 3], and of the table [n, 7 + 3 H].
+    splats: Splats, cameras: Sequence[Camera], settings: Settings, progress: Callable[[str, int, int], None]
+) -> F64:
+    """Returns the importance of a number of each kind: of means, lengths, the logit, the turn and colours, [n, 5].
 
     It is the mean over pixels, channels and cameras of the squared derivative of a pixel. Backward passes of random
     signs estimate it: the expectation of the squared sum of derivatives with these signs is the sum of their squares.
+    All pictures that show Gaussians count alike, as in a mean of PSNR: each is divided by the sum of its colours.
     """
-    generator = torch.Generator().manual_seed(0)
-    values = [torch.from_numpy(v.astype(np.float32)).requires_grad_() for v in (mean, table)]
-    squares = [np.zeros(v.shape) for v in values]
+    random, squares, totals = np.random.default_rng(0), np.zeros((len(splats.mean), 5)), list[float]()
     for number, camera in enumerate(cameras, start=1):
-        image, _, _ = drawn(tensors_of(*values), camera, settings)
-        for probe in range(PROBES):
-            signs = torch.randint(0, 2, image.shape, generator=generator).float() * 2 - 1
-            slopes = torch.autograd.grad(image, values, signs, retain_graph=probe + 1 < PROBES)
-            for i, slope in enumerate(slopes):
-                squares[i] += slope.double().numpy() ** 2 / (image.numel() * PROBES * len(cameras))
+        rows, drawing = seen(splats, camera, settings)
+        lengths, opacity = np.exp(splats.scale[rows]), logistic(splats.opacity[rows])
+        own = np.zeros((len(rows), 5))
+        for _ in range(PROBES if len(rows) else 0):
+            slopes = rasterise_backward(drawing, random.choice(SIGNS, drawing.image.shape))
+            logit = (slopes.opacity * opacity * (1 - opacity))[:, None]
+            parts = slopes.mean, slopes.scale * lengths, logit, slopes.quaternion[:, 1:]
+            each = [np.square(part, dtype=np.float64).mean(axis=1) for part in parts]
+            # The mean of the squares of all harmonics is that of any direction.
+            each.append(HARMONIC * np.square(slopes.colour, dtype=np.float64).mean(axis=1))
+            own += np.stack(each, axis=1) / (drawing.image.size * PROBES)
+        totals.append(float(own[:, -1].sum()))
+        if totals[-1]:
+            squares[rows] += own / totals[-1]
         progress("measure", number, len(cameras))
-    return squares[0], squares[1]
+    return squares * (sum(totals) / (len(totals) * sum(total > 0 for total in totals) or 1))

@@ -32,7 +32,7 @@ STEP_MAX = (1 / 8, 1 / 16, 1 / 32, 1 / 64)
 class Linear:
     """The linear maps from the features of some numbers to these numbers, one for each class.
 
-    matrix: [C, numbers, features]. middle: [numbers]. most: the largest magnitude of a feature, int64 [C, features].
+    matrix: [C, numbers, features]. middle: [C, numbers]. most: the largest magnitude of a feature, int64 [C, features].
     """
 
     matrix: F64
@@ -41,26 +41,26 @@ class Linear:
 
     def symbols(self, numbers: F64, k: int) -> I64:
         """Returns the features [n, features] that are nearest to numbers [n, numbers] of class k, in least squares."""
-        exact = (numbers - self.middle) @ np.linalg.pinv(self.matrix[k]).T
+        exact = (numbers - self.middle[k]) @ np.linalg.pinv(self.matrix[k]).T
         return np.rint(exact).clip(-self.most[k], self.most[k]).astype(np.int64)
 
     def numbers(self, symbols: I64, k: int) -> F64:
         """Returns what the network makes of features of class k, before its rounding."""
-        numbers: F64 = symbols @ self.matrix[k].T + self.middle
+        numbers: F64 = symbols @ self.matrix[k].T + self.middle[k]
         return numbers
 
 
 def network(steps: F64, basis: F64, middle: F64, inputs: I64, count: int, width: int) -> tuple[list[Layer], Linear]:
     """Returns a rendering network, and what its integers compute.
 
-    steps: [C, m], of each class and feature. basis: [numbers, m]. middle: [numbers]. inputs: the m features, of
+    steps: [C, m], of each class and feature. basis: [numbers, m]. middle: [C, numbers]. inputs: the m features, of
     `count`. width: of the hidden layer, at least hidden_units. Raises ValueError for numbers beyond SPEC 7.2.
     """
     classes, m = steps.shape
     for most in STEP_MAX:
         gain = 2.0 ** np.ceil(np.log2(np.maximum(steps / most, 1)))
         maps = (steps / gain)[:, None, :] * basis * 2.0**OUTPUT_BITS
-        rows = [_row(maps[:, r], float(middle[r]) * 2.0**OUTPUT_BITS, width) for r in range(len(basis))]
+        rows = [_row(maps[:, r], middle[:, r] * 2.0**OUTPUT_BITS, width) for r in range(len(basis))]
         fitting = [row for row in rows if row]
         if len(fitting) == len(rows):
             break
@@ -80,7 +80,9 @@ def network(steps: F64, basis: F64, middle: F64, inputs: I64, count: int, width:
             first[large + 1, 0], bias[large + 1] = 1, 1 - k
     last, end = np.array([weight for weight, _ in fitting]), np.array([own for _, own in fitting])
     matrix = last[:, : classes * m].reshape(len(basis), classes, m).transpose(1, 0, 2) * gain[:, None, :]
-    own = end + MIDDLE * last[:, :m].sum(axis=1)
+    # With all other features 0.
+    hidden = (np.arange(classes)[:, None] * first[:, 0].astype(np.float64) + bias).clip(0, ACTIVATION_MAX)
+    own = hidden @ last.T + end
     layers = [(first, bias), (last.astype(np.float32), end.astype(np.float32))]
     return layers, Linear(matrix * 2.0**-OUTPUT_BITS, own * 2.0**-OUTPUT_BITS, _most(gain))
 
@@ -100,25 +102,25 @@ def hidden_units(classes: int, m: int) -> int:
     return classes * m + 2 * (classes - 1)
 
 
-def _row(maps: F64, middle: float, width: int) -> tuple[F64, float] | None:
+def _row(maps: F64, middle: F64, width: int) -> tuple[F64, float] | None:
     """Returns the weights and the bias of an output, on the finest grid that SPEC 7.2 allows, None if there is none.
 
-    maps: [C, m].
+    maps: [C, m]. middle: [C].
     """
     classes, m = maps.shape
     for exponent in range(EXPONENT_MAX, -1, -1):
         integers = np.rint(np.ldexp(maps, exponent))
         weight = np.zeros(width)
         weight[: classes * m] = integers.reshape(-1)
-        each, before = integers.sum(axis=1), 0.0
+        each, before, middles = integers.sum(axis=1), 0.0, np.rint(np.ldexp(middle, exponent))
         for k in range(1, classes):
             # The constant parts of the units of class k - 1, now at their end, and of class k, at their middle.
-            constant = (ACTIVATION_MAX - MIDDLE) * each[k - 1] + MIDDLE * each[k]
+            constant = (ACTIVATION_MAX - MIDDLE) * each[k - 1] + MIDDLE * each[k] - (middles[k] - middles[k - 1])
             large = np.rint(constant / ACTIVATION_MAX)
             at = classes * m + 2 * (k - 1)
             rest = ACTIVATION_MAX * large - constant
             weight[at : at + 2], before = (-large, rest - before), rest
-        bias = np.rint(np.ldexp(middle, exponent)) - MIDDLE * each[0]
+        bias = middles[0] - MIDDLE * each[0]
         reach = np.abs(weight).sum() * ACTIVATION_MAX + abs(bias) + 2.0**exponent
         if np.abs(weight).max() <= WEIGHT_MAX and reach < ACCUMULATOR_BOUND:
             # +0 removes -0, which cannot be packed.

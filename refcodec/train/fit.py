@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -44,6 +45,9 @@ from .settings import BASE_LAMBDA, EntropySettings, FitSettings, QuantisationSet
 from .settings_file import document
 from .state import Keeper, Saved, is_saved, restore, run_steps
 from .voxelise import display_networks
+
+# Anchors of a block, whose temporary arrays are small; and the most anchors that give activations their units at last.
+BLOCK, CALIBRATED = 1 << 16, 1 << 17
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,12 +202,21 @@ def _columns(scene: Scene) -> NDArray[np.float32]:
 
 def _statistics(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Mean and deviation of each channel's symbols, float64 [D]. A channel without symbols has 0 and 1."""
-    columns = _columns(scene).astype(np.float64)
-    weight = np.ones(columns.shape)
-    weight[:, -3 * scene.dimensions.offset_count :] = np.repeat(scene.masks, 3, axis=1)
-    count = weight.sum(axis=0)
-    mean = (columns * weight).sum(axis=0) / np.maximum(count, 1)
-    variance = ((columns - mean) ** 2 * weight).sum(axis=0) / np.maximum(count, 1)
+    columns, kept = _columns(scene), np.repeat(scene.masks, 3, axis=1)
+    blocks = [slice(begin, begin + BLOCK) for begin in range(0, len(columns), BLOCK)]
+
+    def total(function: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> NDArray[np.float64]:
+        """Of large scenes, there is no copy in float64."""
+        sums = np.zeros(columns.shape[1])
+        for rows in blocks:
+            values = function(columns[rows].astype(np.float64))
+            values[:, -kept.shape[1] :] *= kept[rows]
+            sums += values.sum(axis=0)
+        return sums
+
+    count = total(np.ones_like)
+    mean = total(lambda values: values) / np.maximum(count, 1)
+    variance = total(lambda values: (values - mean) ** 2) / np.maximum(count, 1)
     return mean, np.where(count > 0, np.sqrt(variance), 1.0)
 
 
@@ -297,7 +310,7 @@ class _Fitting:
     def result(self) -> Scene:
         """The scene with the planes and networks as they are."""
         if self.done:
-            self._calibrate(torch.arange(self.count))
+            self._calibrate(torch.arange(0, self.count, -(-self.count // CALIBRATED)))
         planes = self.model.symbols(None).numpy().clip(-PLANE_SYMBOL_MAX, PLANE_SYMBOL_MAX).astype(np.int16)
         fitted = replace(self.scene, planes=planes, networks={**self.scene.networks, **self.model.networks()})
         assert np.array_equal(derive_steps(fitted), self.scene.attributes.steps)

@@ -195,21 +195,16 @@ def test_viewers_need_packages(
 
 @pytest.mark.slow
 def test_converted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    """A splat is coded with a quality, and trained as anchors; SPZ and SOG lie beside them."""
+    """A splat is coded with two qualities; refcodec's SPZ lies beside them, with the bytes of --fast at its quality."""
     file = tmp_path / "ball.compressed.ply"
     file.write_bytes(write_splats(splats(150, 1), ".ply"))
-    words = [str(tmp_path / "out"), str(file), "--views", "16", "--size", "32", "--steps", "20", "--fast", "40"]
     monkeypatch.setattr(converted, "tool", lambda: None)
-    assert converted.main([*words, "--lambdas", "0.004"]) == 64
-    assert "npm install" in capsys.readouterr().err
-    monkeypatch.setattr(converted, "tool", lambda: Path("x"))
-    monkeypatch.setattr(converted, "TOOL", converted.OWN)
-    assert converted.main([*words, "--lambdas", "0.004"]) == 0
-    rows = printed(capsys)
-    psnr = {row[2]: float(row[5]) for row in rows[1:]}
-    assert psnr["--fast --psnr 40"] > 30
-    assert 5 < psnr["lambda_r 0.004"] < 40
-    assert 30 < psnr["refcodec"] < 70
+    monkeypatch.setattr(converted, "MOST", 45)
+    assert converted.main([str(tmp_path / "out"), str(file), "--each", "1", "--fast", "30", "60"]) == 0
+    whole, low, high, spz, *_ = printed(capsys)
+    assert whole[1] == "150 Gaussians"
+    assert float(low[6]) + 3 < float(high[6]) <= 45
+    assert int(low[2].replace(",", "")) < int(spz[8].replace(",", "")) <= int(high[2].replace(",", ""))
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")

@@ -11,7 +11,6 @@ import pytest
 for package in ("torch", "numba", "PIL", "skimage", "scipy"):
     pytest.importorskip(package)
 
-import torch  # noqa: E402
 from plain import made, write  # noqa: E402
 
 from refcodec.bitstream.codec import emit, parse  # noqa: E402
@@ -23,12 +22,12 @@ from refcodec.bitstream.splat import OUTPUT_BITS  # noqa: E402
 from refcodec.cli.main import main  # noqa: E402
 from refcodec.convert.drawing import drawn, tensors  # noqa: E402
 from refcodec.convert.fast import Measured, coded, converted  # noqa: E402
-from refcodec.convert.importance import numbers, own_importance, tensors_of  # noqa: E402
+from refcodec.convert.importance import numbers, own_importance, splats_of  # noqa: E402
 from refcodec.convert.linear import hidden_units, network  # noqa: E402
 from refcodec.convert.views import AXES, among, generated, near_plane, orbit  # noqa: E402
 from refcodec.formats.splats import Splats  # noqa: E402
 from refcodec.rendering.gaussians import static_splats  # noqa: E402
-from refcodec.rendering.rasterise import Settings  # noqa: E402
+from refcodec.rendering.rasterise import Settings, draw  # noqa: E402
 from refcodec.rendering.view import View  # noqa: E402
 
 
@@ -37,11 +36,10 @@ def test_numbers_draw_the_same() -> None:
     splats = made()
     table = numbers(splats)
     assert np.abs(table[:, 4:7]).max() <= 1
-    given = tensors(splats)
     camera = orbit(splats, AXES["-y"], 40, 3, 1)["train"][1]
-    again = tensors_of(given["mean"], torch.from_numpy(table.astype(np.float32)))
-    first, second = (drawn(s, camera, Settings(near_plane=0.01))[0] for s in (given, again))
-    assert (first - second).abs().max() < 1e-4
+    again = splats_of(splats.mean, table)
+    first, second = (draw(s, camera, Settings(near_plane=0.01)).image for s in (splats, again))
+    assert np.abs(first - second).max() < 1e-4
 
 
 @pytest.mark.parametrize("classes", [1, 2, 4])
@@ -50,7 +48,8 @@ def test_a_linear_network(classes: int) -> None:
     rng = np.random.default_rng(classes)
     basis = np.linalg.qr(rng.normal(size=(5, 5)))[0]
     steps, inputs = rng.uniform(0.01, 1.6, (classes, 5)), np.array([2, 3, 4, 6, 7])
-    layers, maps = network(steps, basis, rng.normal(size=5), inputs, 9, hidden_units(classes, 5) + 3)
+    middle = rng.normal(size=(classes, 5))
+    layers, maps = network(steps, basis, middle, inputs, 9, hidden_units(classes, 5) + 3)
     exact = IntNetwork([derive_layer(*layer) for layer in layers])
     for k in range(classes):
         values = rng.integers(-maps.most[k], maps.most[k] + 1, (50, 5))
@@ -59,6 +58,7 @@ def test_a_linear_network(classes: int) -> None:
         np.testing.assert_allclose(exact(features) / 2.0**OUTPUT_BITS, maps.numbers(values, k), atol=2.0**-OUTPUT_BITS)
         assert np.array_equal(maps.symbols(maps.numbers(values, k), k), values)
         assert np.abs(maps.matrix[k] - steps[k] * basis).max() < 0.02
+        np.testing.assert_allclose(maps.middle[k], middle[k], atol=0.02)
 
 
 def test_no_two_positions_are_equal() -> None:
@@ -67,7 +67,7 @@ def test_no_two_positions_are_equal() -> None:
     splats.mean[100:] = splats.mean[:100]
     table = numbers(splats)
     n = len(table)
-    scene = coded(Measured(splats.mean, table, np.ones((n, 3)), np.ones(table.shape), np.ones(n)), 1e-3)
+    scene = coded(Measured(splats.mean, table, np.ones(n), np.ones((n, 4)), np.ones(n)), 1e-3)
     assert len(np.unique(scene.positions, axis=0)) == n
     unit = scene.grid.scale_mantissa * 2.0**scene.grid.scale_exponent
     assert np.abs(scene.positions - splats.mean).max() < 4 * unit
@@ -163,14 +163,14 @@ def test_an_error_counts_in_relation_to_the_gaussian() -> None:
     splats = made(4, 0)
     splats.quaternion[:], splats.opacity[:] = (1, 0, 0, 0), (2, 2, -2, 2)
     splats.scale[:] = np.log([[1, 0.5, 0.1], [10, 5, 1], [1, 0.5, 0.1], [1, 0.5, 1e-6]])
-    by_mean, by_number, absence = own_importance(numbers(splats))
+    by_mean, by_length, *_, absence = own_importance(numbers(splats)).T
     assert by_mean[0] / by_mean[1] == pytest.approx(100)
-    assert by_number[0, :3] == pytest.approx(by_number[1, :3])
-    assert (by_mean[2] < by_mean[0] / 10).all()
+    assert by_length[0] == pytest.approx(by_length[1])
+    assert by_mean[2] < by_mean[0] / 10
     assert absence[2] < absence[0] / 10
     # A thin axis is one below a pixel: its importance has a bound.
     assert np.isfinite(by_mean).all()
-    assert by_mean[3, 0] < 20 * by_mean[0, 0]
+    assert by_mean[3] < 20 * by_mean[0]
 
 
 def test_gaussians_in_one_place() -> None:
