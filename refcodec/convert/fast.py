@@ -223,7 +223,7 @@ def _lattice(given: Measured, error_per_bit: float) -> tuple[PositionGrid, F32]:
         origin = np.array([o * 2.0 ** (grid.scale_exponent - 24) for o in grid.origin])
         exact = ((mean[order] - origin) / unit).clip(-END, END)
         cell = _rounded(exact)
-        if 1 - len(np.unique(_keys(cell))) / len(cell) <= crowded or voxel / 2 < least:
+        if (np.diff(np.sort(_keys(cell))) == 0).sum() / len(cell) <= crowded or voxel / 2 < least:
             break
         voxel /= 2
     # Towards the exact position first.
@@ -236,10 +236,11 @@ def _lattice(given: Measured, error_per_bit: float) -> tuple[PositionGrid, F32]:
         if not len(late):
             break
         moved = _rounded(home[late] + far * side[late] * step)
-        free, first = np.unique(_keys(moved), return_index=True)
-        first = first[np.isin(free, taken, assume_unique=True, invert=True)]
-        cell[late[first]] = moved[first]
-        taken, late = np.union1d(taken, _keys(moved[first])), np.delete(late, first)
+        keys, first = np.unique(_keys(moved), return_index=True)
+        place = np.searchsorted(taken, keys)
+        free = taken[np.minimum(place, len(taken) - 1)] != keys
+        cell[late[first[free]]] = moved[first[free]]
+        taken, late = np.insert(taken, place[free], keys[free]), np.delete(late, first[free])
     back = np.empty_like(cell)
     back[order] = cell
     return grid, (origin + unit * back).astype(np.float32)

@@ -28,6 +28,9 @@ from .weights import pack_weights
 # A feature is constant if its deviation is below this share of the largest one.
 VARYING = 1e-5
 
+# Anchors of a block.
+BLOCK = 1 << 16
+
 
 def packed(scene: Scene, positions: str | None, weights: str | None) -> Scene:
     """Returns the scene with positions and weights in the wanted modes.
@@ -71,11 +74,16 @@ def symbols(values: F32, steps: NDArray[np.uint8], base_step: float) -> NDArray[
     ValueError for a value that is not finite or has too large a symbol.
     """
     unit = base_step * tables().step[steps].astype(np.float64) / (1 << STEP_SHIFT)
-    scaled = np.rint(values.astype(np.float64) / unit.reshape(-1, *[1] * (values.ndim - 1)))
-    limit = ATTRIBUTE_SYMBOL_MAX
-    if not np.isfinite(scaled).all() or np.abs(scaled).max(initial=0) > limit:
-        raise ValueError(f"an attribute is not finite, or more than {limit} steps from zero")
-    return scaled.astype(np.int32)
+    unit = unit.reshape(-1, *[1] * (values.ndim - 1))
+    limit, rounded = ATTRIBUTE_SYMBOL_MAX, np.empty(values.shape, np.int32)
+    # Blocks, so that large scenes have no copy in float64.
+    for begin in range(0, len(values), BLOCK):
+        rows = slice(begin, begin + BLOCK)
+        scaled = np.rint(values[rows].astype(np.float64) / unit[rows])
+        if not np.isfinite(scaled).all() or np.abs(scaled).max(initial=0) > limit:
+            raise ValueError(f"an attribute is not finite, or more than {limit} steps from zero")
+        rounded[rows] = scaled
+    return rounded
 
 
 def order_anchors(cloud: AnchorCloud, grid: PositionGrid) -> tuple[AnchorCloud, NDArray[np.float16]]:

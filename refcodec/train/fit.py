@@ -177,6 +177,9 @@ def _start(given: Given, settings: FitSettings) -> Scene:
     networks["hyper"][-1][1][-len(KINDS) :] = STEP_ONE
     networks.update(_rendering(given, d))
     steps = np.full(len(ordered.features), STEP_ONE, np.uint8)
+    shifts = carm_shifts(to_symbols(ordered.features, steps, base_step[0]), d.carm_inputs)
+    # Its copies need memory.
+    del ordered
     return quantise(
         cloud,
         dimensions=d,
@@ -185,7 +188,7 @@ def _start(given: Given, settings: FitSettings) -> Scene:
         grid=grid,
         planes=np.zeros((PLANES, d.plane_channels, d.plane_size, d.plane_size), np.int16),
         plane_shift=PLANE_SHIFT if d.plane_channels else 0,
-        carm_shift=carm_shifts(to_symbols(ordered.features, steps, base_step[0]), d.carm_inputs),
+        carm_shift=shifts,
         base_step=base_step,
         render=given.render,
         profile=MAIN,
@@ -197,12 +200,15 @@ def _columns(scene: Scene) -> NDArray[np.float32]:
     """The symbols of all attributes, float32 [N, D]."""
     a = scene.attributes
     offsets = a.offsets.reshape(scene.anchor_count, 3 * scene.dimensions.offset_count)
-    return np.concatenate([a.features, a.scalings, offsets], axis=1).astype(np.float32)
+    return np.concatenate([a.features, a.scalings, offsets], axis=1, dtype=np.float32, casting="same_kind")
 
 
-def _statistics(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Mean and deviation of each channel's symbols, float64 [D]. A channel without symbols has 0 and 1."""
-    columns, kept = _columns(scene), np.repeat(scene.masks, 3, axis=1)
+def _statistics(scene: Scene, columns: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Mean and deviation of each channel's symbols, float64 [D]. A channel without symbols has 0 and 1.
+
+    columns: as _columns.
+    """
+    kept = np.repeat(scene.masks, 3, axis=1)
     blocks = [slice(begin, begin + BLOCK) for begin in range(0, len(columns), BLOCK)]
 
     def total(function: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> NDArray[np.float64]:
@@ -249,9 +255,8 @@ class _Fitting:
         start = torch.Generator().manual_seed(settings.seed)
         self.contexts = hyperprior.contexts(scene.frame, scene.positions, d.plane_size)
         sizes, columns = (d.plane_size, choose_width(self.count)), Columns(d.slices, d.offset_count)
-        self.model = RateModel(
-            hyperprior, *sizes, *_statistics(scene), start, settings.entropy, scene.carm_shift, columns
-        )
+        statistics = _statistics(scene, self.symbols.numpy())
+        self.model = RateModel(hyperprior, *sizes, *statistics, start, settings.entropy, scene.carm_shift, columns)
         groups = [{"params": [self.model.latents]}, {"params": self.model.coding_parameters()}]
         self.optimiser = torch.optim.Adam(groups)
         rates = [settings.plane_learning_rate, settings.network_learning_rate]
