@@ -182,7 +182,9 @@ def test_the_viewer_draws_what_render_draws(scene: tuple[Scene, list[Any]], tmp_
     with Chromium(str(find()), *SIZE) as browser:
         browser.open((tmp_path / "scene.html").as_uri())
         browser.run("c3gs.settle()")
-        addresses = [browser.run(f"c3gs.picture(c3gs.cameras[{number}])") for number in range(CAMERAS)]
+        addresses = [
+            browser.run(f"c3gs.picture(c3gs.cameras.find((c) => c.name === '{number}'))") for number in range(CAMERAS)
+        ]
         assert browser.said == []
     images = [_image(base64.b64decode(address.partition(",")[2])) for address in addresses]
     assert min(map(_agreement, images, [drawn(scene[0], camera) for camera in scene[1]])) > 45
