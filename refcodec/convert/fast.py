@@ -60,7 +60,7 @@ LOGIT_MAX, LOGIT_MEASURED = 8.0, 4.0
 # A Gaussian is dropped if its absence costs less than this many bits: that many are saved, but absences add up.
 BITS = 4
 # What a picture from near counts, relative to the mean of those by cameras.
-NEAR_SHARE = 0.1
+NEAR_SHARE = 0.2
 # The steps of positions, relative to those of equal slope (own measurement): the mean importance of a position is that
 # of a few thin Gaussians, for which derivatives overestimate a large error.
 POSITION = 1.5
