@@ -1,6 +1,6 @@
 """Splats coded by convert --fast, compared with SPZ and SOG at equal quality: a section of RESULTS.md.
 
-python -m benchmarks.converted FOLDER SPLATS ... --up=-y [--fast 36 40 43 46 50] [--write]
+python -m benchmarks.converted FOLDER SPLATS ... --up=-y [--fast 36 40 43 46 50 55] [--write]
 
 `refcodec convert --fast` codes each file of SPLATS at several qualities. refcodec, Niantic's library (by gaussforge of
 PyPI, if it is installed) and splat-transform (if it is) write SPZ and SOG. Cameras at random places around the splats,
@@ -35,7 +35,7 @@ from refcodec.rendering.gaussians import static_splats
 from refcodec.rendering.rasterise import Settings, draw
 from refcodec.statuses import DONE, USAGE, UsageError
 
-from .peers.convert import VERSION, ToolError, convert, tool
+from .peers.convert import VERSION, ToolError, as_read, convert, tool
 from .resident import usage
 from .results import machine, mib, publish, table
 
@@ -151,9 +151,10 @@ def others(source: Source, folder: Path) -> dict[str, tuple[int, Splats]]:
     except ImportError:
         print("gaussforge is missing: no row of Niantic's SPZ 4", file=sys.stderr)
     else:
+        # It keeps the axes of PLY files, as splat-transform does.
         coded = Path(f"{stem}-niantic.spz")
         coded.write_bytes(forge.convert(plain.read_bytes(), "ply", "spz", spz_version=4)["data"])
-        found["Niantic's library, SPZ 4"] = coded.stat().st_size, read_splats(coded)
+        found["Niantic's library, SPZ 4"] = coded.stat().st_size, as_read(read_splats(coded), ".spz")
     if tool() is None:
         print("splat-transform is missing: no row of its SOG", file=sys.stderr)
     else:
@@ -206,7 +207,7 @@ def main(words: list[str] | None = None) -> int:
     parser.add_argument("--up", choices=AXES, default="-y", help="axis that is up (-y); write --up=-y")
     parser.add_argument("--each", type=int, default=8, help="cameras of each kind that judge (8)")
     parser.add_argument(
-        "--fast", type=float, nargs="+", default=[36, 40, 43, 46, 50], metavar="DB", help="qualities, dB"
+        "--fast", type=float, nargs="+", default=[36, 40, 43, 46, 50, 55], metavar="DB", help="qualities, dB"
     )
     parser.add_argument("--write", action="store_true", help="write the section of benchmarks/RESULTS.md")
     options = parser.parse_args(words)
