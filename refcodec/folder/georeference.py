@@ -34,8 +34,15 @@ def georeference(offset: F64) -> dict[str, str]:
 
 
 def stated_offset(entries: Mapping[str, str]) -> F64:
-    """Returns the offset that entries of metadata state, float64 [3]; zeros for none, and for another matrix."""
-    numbers = np.array(entries.get(KEY, "").split()[:16], np.float64)
-    if len(numbers) < 16 or not np.array_equal(numbers.reshape(4, 4)[:, :3], np.eye(4)[:, :3]):
+    """Returns the offset that entries of metadata state, float64 [3].
+
+    It is zeros for none, for another matrix, and for a value that violates SPEC 6.14: that refuses no file.
+    """
+    try:
+        numbers = np.array(entries.get(KEY, "").split(), np.float64)
+    except ValueError:
         return np.zeros(3)
-    return numbers.reshape(4, 4)[:3, 3]
+    if len(numbers) != 16 or not np.isfinite(numbers).all():
+        return np.zeros(3)
+    matrix = numbers.reshape(4, 4)
+    return matrix[:3, 3] if np.array_equal(matrix[:, :3], np.eye(4)[:, :3]) else np.zeros(3)

@@ -295,6 +295,15 @@ def test_coordinates_of_a_map(tmp_path):
     assert not scene_offset(plain, near, own).any()
 
 
+@pytest.mark.parametrize(
+    "value",
+    ["", "hello", "1 " * 15, "1 " * 17, "1 0 0 1e999 0 1 0 0 0 0 1 0 0 0 0 1", "2 0 0 5 0 1 0 0 0 0 1 0 0 0 0 1"],
+)
+def test_a_strange_georeference_is_none(value: str) -> None:
+    """SPEC 6.14: a violation refuses no file, and no number of a file makes a place infinite."""
+    assert stated_offset({"georeference": value}).tolist() == [0, 0, 0]
+
+
 def test_binary_comes_before_text(tmp_path):
     write_colmap(tmp_path, write_text)
     write_binary(tmp_path / "sparse/0", *model(seed=1))
