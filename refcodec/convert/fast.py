@@ -24,6 +24,7 @@ from ..bitstream.splat import OUTPUT_BITS
 from ..encoder.cloud import AnchorCloud
 from ..encoder.positions import choose_grid
 from ..encoder.quantise import packed
+from ..formats.packing import logistic, opacities
 from ..formats.splats import Splats, rows_of
 from ..rendering.camera import Camera, spread_cameras
 from ..rendering.constants import ALPHA_MIN
@@ -38,7 +39,6 @@ from .importance import (
     LOGIT,
     TURN,
     importance,
-    logistic,
     numbers,
     own_importance,
     seen,
@@ -155,7 +155,7 @@ class Fast:
 
 def measured(splats: Splats, cameras: Sequence[Camera], settings: Settings, progress: Progress) -> Measured:
     """Returns the Gaussians that can be seen at all, measured in the pictures of some cameras."""
-    shown = logistic(splats.opacity.astype(np.float64)) >= ALPHA_MIN
+    shown = opacities(splats) >= ALPHA_MIN
     shown |= ~shown.any()
     chosen = splats if shown.all() else rows_of(splats, shown)
     table = numbers(chosen)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..formats.packing import logistic
 from ..formats.splats import Splats, rows_of
 from ..rendering.camera import Camera
 from ..rendering.projection import lens_of, project_gaussians, view_of
@@ -97,12 +97,6 @@ def seen(splats: Splats, camera: Camera, settings: Settings) -> tuple[NDArray[np
     size = camera.width, camera.height, settings.low_pass, settings.near_plane
     rows = np.flatnonzero(project_gaussians(shape, view_of(camera), lens_of(camera), *size)[3])
     return rows, draw(rows_of(splats, rows), camera, settings)
-
-
-def logistic(x: NDArray[Any]) -> NDArray[Any]:
-    """Returns 1 / (1 + exp(-x))."""
-    y: NDArray[Any] = 1 / (1 + np.exp(-x))
-    return y
 
 
 def own_importance(table: F32) -> F64:

@@ -22,6 +22,7 @@ from PIL import Image
 from ..files.ply import ply_bytes
 from ..files.stage import new_file
 from ..formats.harmonics import ZERO
+from ..formats.packing import opacities
 from ..formats.splats import Splats
 from ..rendering.camera import Camera, looking
 from ..rendering.rasterise import Settings
@@ -115,7 +116,7 @@ def among(splats: Splats, up: F64, size: int, train: int, test: int) -> dict[str
     from scipy.spatial import KDTree  # noqa: PLC0415 (slow to load, and only here)
 
     mean, scale = splats.mean.astype(np.float64), -np.sort(-np.exp(splats.scale.astype(np.float64)), axis=1)
-    opacity = 1 / (1 + np.exp(-splats.opacity.astype(np.float64)))
+    opacity = opacities(splats)
     middle, radius = middle_and_radius(splats)
     # Neither the sky nor what floats far out is a target.
     core = np.linalg.norm(mean - middle, axis=1) <= radius

@@ -22,8 +22,14 @@ FAR, SHARE = 10, 0.95
 
 def opacities(splats: Splats) -> F64:
     """Returns the opacities, from 0 to 1, [n]."""
-    # Beyond 700, the exponential overflows, and the opacity is 0 in float32.
-    return 1 / (1 + np.exp(np.minimum(-splats.opacity.astype(np.float64), 700)))
+    return logistic(splats.opacity.astype(np.float64))
+
+
+def logistic(x: NDArray[Any]) -> NDArray[Any]:
+    """Returns 1 / (1 + exp(-x))."""
+    # Beyond 700, the exponential overflows, and an opacity is 0 in float32.
+    y: NDArray[Any] = 1 / (1 + np.exp(np.minimum(-x, 700)))
+    return y
 
 
 def logits(opacity: F64, least: float = OPACITY_LEAST) -> F64:

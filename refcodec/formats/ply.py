@@ -15,7 +15,7 @@ from ..files import ply
 from ..files.outputs import Kind
 from .common import COMPENSATED, ContentError, Data, Options, check_count, cut_degree, remark
 from .harmonics import REST, ZERO
-from .packing import BYTE_OPACITY_LEAST, logits
+from .packing import BYTE_OPACITY_LEAST, logits, opacities
 from .splats import Splats
 
 # A comment in the files of refcodec.
@@ -114,8 +114,7 @@ def _filtered(splats: Splats, width: NDArray[np.float32]) -> Splats:
     remark(f"its {_FILTER} is applied to axes and opacities")
     axes = np.exp(2 * splats.scale.astype(np.float64))
     wider = axes + width.astype(np.float64) ** 2
-    opacity = 1 / (1 + np.exp(-splats.opacity.astype(np.float64))) * np.sqrt((axes / wider).prod(axis=1))
-    logit = np.log(np.maximum(opacity, 1e-9) / np.maximum(1 - opacity, 1e-9))
+    logit = logits(opacities(splats) * np.sqrt((axes / wider).prod(axis=1)), 1e-9)
     return replace(splats, scale=(np.log(wider) / 2).astype(np.float32), opacity=logit.astype(np.float32))
 
 
