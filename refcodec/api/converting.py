@@ -192,11 +192,13 @@ def _convert_fast(source: Path, output: Path, words: ConvertWords) -> Report:
     chosen = chosen_cameras(cameras, splats, up, size, words.get("views") or fast.VIEWS)
     render = RenderInfo(up_axis=nearest_axis(up), near_plane=near_plane(splats))
     psnr, steps = words.get("psnr") or fast.PSNR, words.get("steps") or fast.STEPS
+    held, given_count = [splats], len(splats.mean)
+    del splats
     with progress_bar(words) as show, refusing(f"{source} cannot be converted"):
-        made = fast.converted(splats, chosen, render, STATED if cameras else 1, psnr, steps, show)
+        made = fast.converted(held, chosen, render, STATED if cameras else 1, psnr, steps, show)
         data = emit(with_entries(made.scene, georeference(offset)), progress=show)
     write_file(output, data)
-    count, reached = f"{made.scene.anchor_count:,} of {len(splats.mean):,} Gaussians", fmean(made.psnr)
+    count, reached = f"{made.scene.anchor_count:,} of {given_count:,} Gaussians", fmean(made.psnr)
     places = "cameras of the splats" if cameras else "cameras around and among the splats"
     lines = [
         f"{output}: {len(data):,} bytes, {count}",

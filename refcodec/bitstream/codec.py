@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ..native.library import REFUSED_FORM, REFUSED_STEPS, kernel
 from ..native.scene import Anchors, NativeScene
-from .attributes import ATTRIBUTE_SYMBOL_MAX, Attributes, EntropyModel, code_attributes, step_indices
+from .attributes import ATTRIBUTE_SYMBOL_MAX, KINDS, Attributes, EntropyModel, code_attributes, step_indices
 from .batches import GROUP_ANCHORS, Progress, groups, no_progress, one_thread
 from .bounds import Limits
 from .chunks import chunk_ranges, emit_chunk
@@ -329,9 +329,11 @@ def _steps_error() -> ValueError:
 
 def derive_steps(scene: Scene) -> NDArray[np.uint8]:
     """SPEC 7.8: returns the step indices of all anchors, uint8 [N, 3]. The attributes of the scene are not read."""
-    coding = Coding(scene)
+    coding, count = Coding(scene), scene.anchor_count
+    # Without weights, they are those of any anchor.
+    equal = count > 0 and not scene.networks["hyper"][-1][0][-len(KINDS) :].any()
     steps = [np.zeros((0, 3), np.uint8)]
-    for group in chunk_ranges(scene.anchor_count, GROUP_ANCHORS):
+    for group in chunk_ranges(1 if equal else count, GROUP_ANCHORS):
         contexts = coding.contexts(slice(group.start, group.stop))
         steps.append(step_indices(coding.model.hyper(contexts).astype(np.int64)))
-    return np.concatenate(steps)
+    return np.repeat(np.concatenate(steps), count, axis=0) if equal else np.concatenate(steps)

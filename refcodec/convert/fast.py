@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,11 +25,12 @@ from ..bitstream.splat import OUTPUT_BITS
 from ..encoder.cloud import AnchorCloud
 from ..encoder.positions import choose_grid
 from ..encoder.quantise import packed
-from ..formats.packing import logistic, opacities
+from ..formats.packing import along_curve, logistic, opacities
 from ..formats.splats import Splats, rows_of
 from ..rendering.camera import Camera, spread_cameras
 from ..rendering.constants import ALPHA_MIN
-from ..rendering.rasterise import Settings, settings_of
+from ..rendering.gaussians import static_shapes
+from ..rendering.rasterise import Settings, draw, settings_of
 from ..train.fit import fit
 from ..train.fit_input import Given
 from ..train.settings import EntropySettings, FitSettings
@@ -41,7 +43,6 @@ from .importance import (
     importance,
     numbers,
     own_importance,
-    seen,
     splats_of,
 )
 from .linear import FAR, hidden_units, network
@@ -88,6 +89,7 @@ TRIES, TOLERANCE, SLOPE = 6, 0.1, 9.0
 INLIERS, VOXEL_BITS, CROWDED = 0.95, 4, 0.1
 # The largest coordinate of the lattice in cells. A Gaussian beyond has an offset of at most so many units.
 END, OFFSET_MOST = 0.4 * 2**CELL_LEVELS, 1 << 13
+ODD = 0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9
 AROUND, DISTANCES = [np.array(step) for step in sorted(np.ndindex(2, 2, 2), key=sum)[1:]], (1, -1, 2, -2, 3, -3)
 # The entropy model: steps of training, and what differs from a fit of longer training.
 STEPS, BATCH, LEARNING_RATE = 600, 2048, 0.02
@@ -95,6 +97,8 @@ STEPS, BATCH, LEARNING_RATE = 600, 2048, 0.02
 COARSER = 3
 # Cameras around the Gaussians that measure, and the sides of their images in pixels.
 VIEWS, SIDE = 32, 400
+# The most Gaussians of a class that decide where its symbols are.
+SAMPLE = 1 << 16
 # The default quality in dB.
 PSNR = 46.0
 
@@ -153,25 +157,33 @@ class Fast:
     whole: bool
 
 
-def measured(splats: Splats, cameras: Sequence[Camera], settings: Settings, progress: Progress) -> Measured:
-    """Returns the Gaussians that can be seen at all, measured in the pictures of some cameras."""
+def measured(held: list[Splats], cameras: Sequence[Camera], settings: Settings, progress: Progress) -> Measured:
+    """Returns the Gaussians that can be seen at all, measured in the pictures of some cameras. held: as for converted.
+
+    Neighbours are together, which is fast for drawing.
+    """
+    splats = held.pop()
     shown = opacities(splats) >= ALPHA_MIN
-    shown |= ~shown.any()
-    chosen = splats if shown.all() else rows_of(splats, shown)
-    table = numbers(chosen)
+    order = along_curve(splats.mean)
+    chosen = rows_of(splats, order[shown[order] | ~shown.any()])
+    del splats
+    table, mean = numbers(chosen), chosen.mean
+    del chosen
     column, logit = LOGIT.start, KIND_NAMES.index("logit") + 1
     own = np.minimum(table[:, column], LOGIT_MAX)
     table[:, column] = np.minimum(own, LOGIT_MEASURED)
-    pictures = importance(splats_of(chosen.mean, table), cameras, settings, progress)
+    pictures = importance(splats_of(mean, table), cameras, settings, progress)
     measured, exact = logistic(table[:, column].astype(np.float64)), logistic(own.astype(np.float64))
     table[:, column] = own
     # A pixel is linear in an opacity.
     absence = pictures[:, logit] / (1 - measured) ** 2
     pictures[:, logit] *= (exact * (1 - exact) / (measured * (1 - measured))) ** 2
     # The picture that all Gaussians fill evenly stands for those that somebody may take from near.
-    near = own_importance(table) * (NEAR_SHARE / len(table))
-    weights = (near + np.concatenate([pictures, absence[:, None]], axis=1)).astype(np.float32)
-    return Measured(chosen.mean, table, weights[:, 0], weights[:, 1:-1], weights[:, -1])
+    weights = np.concatenate([pictures, absence[:, None]], axis=1, dtype=np.float32)
+    for begin in range(0, len(table), BLOCK):
+        rows = slice(begin, begin + BLOCK)
+        weights[rows] += own_importance(table[rows]) * (NEAR_SHARE / len(table))
+    return Measured(mean, table, weights[:, 0], weights[:, 1:-1], weights[:, -1])
 
 
 # --- symbols ----------------------------------------------------------------------------------------------------------
@@ -211,7 +223,9 @@ def _lattice(given: Measured, error_per_bit: float) -> tuple[PositionGrid, F32]:
     least = max(reach / END, float(np.abs(core).max()) * 2.0 ** (VOXEL_BITS - 24)) or 1.0
     voxel = min(max(float(POSITION * _step(error_per_bit, given.by_mean.mean())), least), max(reach, least))
     # A finer lattice does not separate equal means.
-    crowded = CROWDED + 1 - len(np.unique(mean, axis=0)) / len(mean)
+    # Their bits, times odd numbers, tell means apart.
+    bits = given.mean.view(np.uint32).astype(np.uint64) @ np.array(ODD, np.uint64)
+    crowded = CROWDED + 1 - len(np.unique(bits)) / len(mean)
     # The most important ones choose first.
     order = np.argsort(-given.by_mean, kind="stable")
     while True:
@@ -297,7 +311,7 @@ def coded(given: Measured, error_per_bit: float) -> Coded:
     steps = np.maximum(steps, peaks / (FAR - 1))
     for k in range(classes):
         some = np.flatnonzero(chosen == k)
-        some = some[:: -(-len(some) // BLOCK)]
+        some = some[:: -(-len(some) // SAMPLE)]
         turns[k] = np.exp(2j * np.pi * ((table[some] - middle) @ basis) / steps[k]).sum(axis=0)
     # Many Gaussians may have one number, such as an opacity. Symbols of each class meet the most frequent ones, as
     # equal errors would add up in a picture.
@@ -348,7 +362,8 @@ class Judge:
 
     def _drawn(self, mean: F32, table: F32) -> list[F32]:
         splats = splats_of(mean, table)
-        return [seen(splats, camera, self.settings)[1].image.clip(0, 1) for camera in self.cameras]
+        shapes = static_shapes(splats)
+        return [draw(splats, camera, self.settings, shapes).image.clip(0, 1) for camera in self.cameras]
 
     def psnr(self, coded: Coded) -> list[float]:
         """Returns the PSNR of each picture of decoded Gaussians, in dB, at most 100."""
@@ -371,7 +386,9 @@ def search(given: Measured, psnr: float, judge: Judge, progress: Progress) -> tu
         reached = float(np.mean(each))
         progress("search", number + 1, TRIES)
         if best is None or abs(reached - psnr) < abs(np.mean(best[1]) - psnr):
-            best = tried, each
+            # What was drawn needs memory.
+            best = replace(tried, table=tried.table[:0]), each
+        del tried
         if abs(reached - psnr) <= TOLERANCE:
             break
         tries.append((math.log10(error_per_bit), reached))
@@ -388,7 +405,7 @@ def search(given: Measured, psnr: float, judge: Judge, progress: Progress) -> tu
 
 
 def converted(
-    splats: Splats,
+    held: list[Splats],
     cameras: Mapping[str, Sequence[Camera]],
     render: RenderInfo,
     stated: int,
@@ -398,31 +415,32 @@ def converted(
 ) -> Fast:
     """Returns a static scene of Gaussians, whose pictures have nearly a PSNR, in dB, to theirs.
 
-    cameras: those that measure, and those that judge (views.py). stated: how many of them the scene states. steps: of
-    the training of the entropy model, which an interrupt ends early. Raises ValueError for Gaussians that cannot be
-    coded.
+    held: the Gaussians, which are taken out of this list, as their memory is needed. cameras: those that measure, and
+    those that judge (views.py). stated: how many of them the scene states. steps: of the training of the entropy model,
+    which an interrupt ends early. Raises ValueError for Gaussians that cannot be coded.
     """
     show = progress or (lambda stage, done, total: None)
-    settings = settings_of(render)
-    given = measured(splats, cameras[TRAIN], settings, show)
+    settings, given_count = settings_of(render), len(held[0].mean)
+    given = measured(held, cameras[TRAIN], settings, show)
     judges = cameras[TEST] or cameras[TRAIN]
     rows = np.unique(np.linspace(0, len(judges) - 1, JUDGES).round().astype(int))
     symbols, reached = search(given, psnr, Judge(given, [judges[i] for i in rows], settings), show)
     measured_count, (n, count) = len(given.mean), symbols.features.shape
     # The fit needs memory, too.
     del given
-    symbols = replace(symbols, table=symbols.table[:0])
     scalings = np.repeat([symbols.exponent, np.zeros(n)], SCALINGS // 2, axis=0).T.astype(np.float32)
-    others = scalings, symbols.offsets[:, None].astype(np.float32), np.ones((n, 1), bool)
-    cloud = AnchorCloud(symbols.positions, symbols.features.astype(np.float32), *others)
+    # These features and offsets are integers, of few bytes each.
+    features: Any = symbols.features
+    offsets: Any = symbols.offsets[:, None]
+    clouds = [AnchorCloud(symbols.positions, features, scalings, offsets, np.ones((n, 1), bool))]
+    grid, networks = symbols.grid, symbols.networks
+    del symbols, scalings, features, offsets
     static, shown = replace(render, render_model=STATIC), tuple(spread_cameras(cameras[TRAIN], stated))
-    # The steps of features, scalings and offsets.
-    base_step = (1.0, 1.0, 1.0)
-    anchors = Given(cloud, None, symbols.grid, symbols.networks, static, shown, base_step)
     entropy = EntropySettings(slices=_slices(count))
     learning = FitSettings(steps=steps, batch=BATCH, network_learning_rate=LEARNING_RATE, entropy=entropy)
-    result = fit(anchors, learning, progress=show)
-    faint, dropped = len(splats.mean) - measured_count, measured_count - n
+    # The last ones are the steps of features, scalings and offsets.
+    result = fit(Given(clouds.pop(), None, grid, networks, static, shown, (1.0, 1.0, 1.0)), learning, progress=show)
+    faint, dropped = given_count - measured_count, measured_count - n
     return Fast(_packed(result.scene), reached, faint, dropped, result.report["steps"] == steps)
 
 

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..formats.packing import logistic
-from ..formats.splats import Splats, rows_of
+from ..formats.splats import Splats
 from ..rendering.camera import Camera
-from ..rendering.projection import lens_of, project_gaussians, view_of
-from ..rendering.rasterise import Rendering, Settings, draw, rasterise_backward
+from ..rendering.gaussians import static_shapes
+from ..rendering.rasterise import Settings, draw, rasterise_backward
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -19,8 +19,8 @@ F64 = NDArray[np.float64]
 # The columns of a table of numbers, [n, 7 + 3 H] for H harmonics: logarithms of the lengths, the logit of the opacity,
 # x, y, z of a quaternion whose w is 1, and red, green and blue of each harmonic.
 LENGTHS, LOGIT, TURN, COLOUR = slice(0, 3), slice(3, 4), slice(4, 7), slice(7, None)
-# Gaussians of a block, whose temporary arrays are small.
-BLOCK = 1 << 16
+# Gaussians of a block, whose temporary arrays stay in the cache.
+BLOCK = 1 << 14
 # Random pictures of signs, for each camera. One costs a million Gaussians 10 % of their bytes (own measurement).
 PROBES, SIGNS = 2, np.array([-1, 1], np.float32)
 # Of a Gaussian that fills a picture: the squared contrast to what is behind it, the mean square of exp(-r^2 / 2) over
@@ -90,15 +90,6 @@ def splats_of(mean: F32, table: F32) -> Splats:
     return Splats(mean, colour[:, 0], colour[:, 1:], table[:, LOGIT.start], table[:, LENGTHS], quaternion)
 
 
-def seen(splats: Splats, camera: Camera, settings: Settings) -> tuple[NDArray[np.int64], Rendering]:
-    """Returns the numbers of the Gaussians that a camera shows, and the drawing of these alone."""
-    lengths, opacity = np.exp(splats.scale), logistic(splats.opacity)
-    shape = splats.mean, splats.quaternion, lengths, opacity, np.zeros_like(splats.mean)
-    size = camera.width, camera.height, settings.low_pass, settings.near_plane
-    rows = np.flatnonzero(project_gaussians(shape, view_of(camera), lens_of(camera), *size)[3])
-    return rows, draw(rows_of(splats, rows), camera, settings)
-
-
 def own_importance(table: F32) -> F64:
     """Returns the importance in a picture that a Gaussian fills: [n, 6], as importance, and that of its absence.
 
@@ -129,27 +120,33 @@ def own_importance(table: F32) -> F64:
 
 def importance(
     splats: Splats, cameras: Sequence[Camera], settings: Settings, progress: Callable[[str, int, int], None]
-) -> F64:
+) -> F32:
     """Returns the importance of a number of each kind: of means, lengths, the logit, the turn and colours, [n, 5].
 
     It is the mean over pixels, channels and cameras of the squared derivative of a pixel. Backward passes of random
     signs estimate it: the expectation of the squared sum of derivatives with these signs is the sum of their squares.
     All pictures that show Gaussians count alike, as in a mean of PSNR: each is divided by the sum of its colours.
     """
-    random, squares, totals = np.random.default_rng(0), np.zeros((len(splats.mean), 5)), list[float]()
+    random, squares, totals = np.random.default_rng(0), np.zeros((len(splats.mean), 5), np.float32), list[float]()
+    shapes = static_shapes(splats)
+    _, _, lengths, opacity = shapes
+    own = np.empty_like(squares)
     for number, camera in enumerate(cameras, start=1):
-        rows, drawing = seen(splats, camera, settings)
-        lengths, opacity = np.exp(splats.scale[rows]), logistic(splats.opacity[rows])
-        own = np.zeros((len(rows), 5))
-        for _ in range(PROBES if len(rows) else 0):
+        drawing = draw(splats, camera, settings, shapes)
+        for probe in range(PROBES):
             slopes = rasterise_backward(drawing, random.choice(SIGNS, drawing.image.shape))
-            logit = (slopes.opacity * opacity * (1 - opacity))[:, None]
-            parts = slopes.mean, slopes.scale * lengths, logit, slopes.quaternion[:, 1:], slopes.colour
-            for i, part in enumerate(parts):
-                own[:, i] += np.square(part, dtype=np.float64).mean(axis=1) / (drawing.image.size * PROBES)
+            share = 1 / (drawing.image.size * PROBES)
+            for begin in range(0, len(own), BLOCK):
+                rows = slice(begin, begin + BLOCK)
+                logit = (slopes.opacity[rows] * opacity[rows] * (1 - opacity[rows]))[:, None]
+                parts = slopes.mean[rows], slopes.scale[rows] * lengths[rows], logit, slopes.quaternion[rows, 1:]
+                for i, part in enumerate((*parts, slopes.colour[rows])):
+                    square = np.square(part, dtype=np.float64) @ np.full(part.shape[1], share / part.shape[1])
+                    own[rows, i] = square + own[rows, i] if probe else square
         # The mean of the squares of all harmonics is that of any direction.
         own[:, -1] *= HARMONIC
-        totals.append(float(own[:, -1].sum()))
-        squares[rows] += own / (totals[-1] or 1)
+        totals.append(float(own[:, -1].sum(dtype=np.float64)))
+        own /= np.float32(totals[-1] or 1)
+        squares += own
         progress("measure", number, len(cameras))
-    return squares * (sum(totals) / (len(cameras) * sum(total > 0 for total in totals) or 1))
+    return squares * np.float32(sum(totals) / (len(cameras) * sum(total > 0 for total in totals) or 1))

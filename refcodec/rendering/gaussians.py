@@ -22,6 +22,8 @@ from .camera import Camera
 
 # SPEC 6.5: the render model of 14.3.
 VIEW_DEPENDENT = 0
+# Gaussians of a block.
+BLOCK = 1 << 12
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,18 +176,37 @@ def static_gaussians(
 
     splats: its Gaussians. masks: bool [N, K]. dtype: as for gaussians.
     """
-    anchor, offset = np.nonzero(masks)
-    values = harmonics(splats.mean, camera.centre, splats.degree)
+    mean, quaternion, lengths, opacity = static_shapes(splats, dtype)
+    colour = static_colours(splats, camera, np.arange(len(mean))).astype(dtype)
+    return Gaussians(mean, lengths, quaternion, opacity, colour, *np.nonzero(masks))
+
+
+@np.errstate(over="ignore", invalid="ignore")
+def static_shapes(splats: Splats, dtype: DTypeLike = np.float32) -> tuple[NDArray[Any], ...]:
+    """SPEC 14.6: returns what no camera changes: means, unit quaternions, lengths of axes and opacities, as Gaussians.
+
+    dtype: as for gaussians.
+    """
     quaternion = splats.quaternion.astype(dtype)
-    return Gaussians(
+    return (
         splats.mean.astype(dtype),
-        np.exp(splats.scale.astype(dtype)),
         quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True),
+        np.exp(splats.scale.astype(dtype)),
         _logistic(splats.opacity.astype(dtype)),
-        np.maximum(0.5 + np.einsum("nc,ncx->nx", values, splats.coefficients), 0).astype(dtype),
-        anchor,
-        offset,
     )
+
+
+@np.errstate(over="ignore", invalid="ignore")
+def static_colours(splats: Splats, camera: Camera, rows: NDArray[np.int64]) -> NDArray[np.float64]:
+    """SPEC 14.6: returns the colours of some Gaussians for a camera, [n, 3]. rows: int64 [n]."""
+    colour = np.empty((len(rows), 3))
+    # The temporary arrays of a block stay in the cache.
+    for begin in range(0, len(rows), BLOCK):
+        part = rows[begin : begin + BLOCK]
+        coefficients = np.concatenate([splats.base[part, None], splats.rest[part]], axis=1, dtype=np.float64)
+        values = harmonics(splats.mean[part], camera.centre, splats.degree)
+        colour[begin : begin + BLOCK] = np.maximum(0.5 + (values[:, None] @ coefficients)[:, 0], 0)
+    return colour
 
 
 def gaussians_document(gaussians: Gaussians) -> dict[str, Any]:

@@ -13,7 +13,9 @@ values is not finite, or if its projection leaves float64.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 from numba import parallel_chunksize
@@ -23,10 +25,13 @@ from ..bitstream.header import RenderInfo
 from ..formats.splats import Splats
 from .blending import blend_tiles, unblend_tiles
 from .camera import Camera, check_camera
-from .constants import F32, TILE_HEIGHT, TILE_WIDTH
-from .gaussians import Gaussians, static_gaussians
+from .constants import F32, I64, TILE_HEIGHT, TILE_WIDTH
+from .gaussians import Gaussians, static_colours, static_shapes
 from .projection import lens_of, project_gaussians, unproject_gaussians, view_of
 from .tiles import LIST_MAX, PAIRS_MAX, Pairs, list_tiles, sort_by_depth
+
+# The columns of a record that hold colours.
+SHADE = slice(8, 11)
 
 
 @dataclass(frozen=True)
@@ -130,7 +135,7 @@ def rasterise(
     quaternion: ArrayLike,
     scale: ArrayLike,
     opacity: ArrayLike,
-    colour: ArrayLike,
+    colour: ArrayLike | Callable[[I64], ArrayLike],
     camera: Camera,
     settings: Settings | None = None,
 ) -> Rendering:
@@ -140,7 +145,7 @@ def rasterise(
     quaternion: f32[N,4], w, x, y, z, of any length but 0.
     scale: f32[N,3], standard deviations along the axes, in the unit of mean.
     opacity: f32[N].
-    colour: f32[N,3].
+    colour: f32[N,3], or a function that returns those of some Gaussians, f32[n,3], by their numbers, i64[n].
     settings: None for Settings().
 
     Raises ValueError for other shapes, for a camera that check_camera refuses, and for 2^27 or more pairs of a Gaussian
@@ -149,11 +154,16 @@ def rasterise(
     """
     check_camera(camera)
     settings = settings or Settings()
-    inputs = _inputs(mean, quaternion, scale, opacity, colour)
+    inputs = _inputs(mean, quaternion, scale, opacity, np.zeros(np.shape(mean)) if callable(colour) else colour)
     width, height = int(camera.width), int(camera.height)
     record, room, depth, radius = project_gaussians(
         inputs, view_of(camera), lens_of(camera), width, height, float(settings.low_pass), float(settings.near_plane)
     )
+    if callable(colour):
+        chosen = np.flatnonzero(room)
+        record[chosen, SHADE] = colour(chosen)
+        strange = chosen[~np.isfinite(record[chosen, SHADE] @ np.ones(3))]
+        room[strange], radius[strange] = 0, 0
     count = int(room.sum(dtype=np.int64))
     if count >= PAIRS_MAX:
         raise ValueError(f"{count} pairs of Gaussians and tiles; fewer than {PAIRS_MAX} allowed")
@@ -209,10 +219,13 @@ def settings_of(info: RenderInfo) -> Settings:
     return Settings(info.low_pass, info.near_plane, info.alpha_max, (red, green, blue))
 
 
-def draw(splats: Splats, camera: Camera, settings: Settings) -> Rendering:
-    """Draws plain Gaussians, as 3DGS programs do. Raises ValueError as rasterise."""
-    g = static_gaussians(splats, np.ones((len(splats.mean), 1), bool), camera)
-    return rasterise(g.mean, g.quaternion, g.lengths, g.opacity, g.colour, camera, settings)
+def draw(splats: Splats, camera: Camera, settings: Settings, shapes: Sequence[F32] | None = None) -> Rendering:
+    """Draws plain Gaussians, as 3DGS programs do. Raises ValueError as rasterise.
+
+    shapes: static_shapes of them, if known.
+    """
+    mean, quaternion, lengths, opacity = shapes or static_shapes(splats)
+    return rasterise(mean, quaternion, lengths, opacity, partial(static_colours, splats, camera), camera, settings)
 
 
 def image(g: Gaussians, camera: Camera, info: RenderInfo) -> F32:

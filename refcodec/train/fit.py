@@ -48,6 +48,8 @@ from .voxelise import display_networks
 
 # Anchors of a block, whose temporary arrays are small; and the most anchors that give activations their units at last.
 BLOCK, CALIBRATED = 1 << 16, 1 << 17
+# The most anchors that a fit learns from, evenly along the Morton curve. A million have no fewer bytes with all.
+SAMPLE = 1 << 18
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,15 +70,23 @@ def fit(
     """Fits the coding networks and planes of Main to anchors, and quantises them.
 
     settings: None for the defaults. state: the file of the saved state, from which training continues if it exists.
-    An interrupt (Ctrl-C) ends training early with a complete scene. Equal arguments and threads give equal results.
-    Raises ValueError for anchors that cannot be written, or a state of other settings.
+    An interrupt (Ctrl-C) ends training early with a complete scene. Equal arguments give equal results, whatever
+    the number of threads. Raises ValueError for anchors that cannot be written, or a state of other settings.
     """
     started, settings = time.perf_counter(), settings or FitSettings()
-    scene = _start(given, settings)
-    fitting = _Fitting(scene, settings)
-    if scene.anchor_count and settings.steps:
-        fitting.run(progress, Path(state) if state else None)
-    fitted = fitting.result()
+    scene, anchors = _start(given, settings), len(given.cloud.positions)
+    # Its arrays need memory.
+    del given
+    threads = torch.get_num_threads()
+    # The sums of torch depend on their number.
+    torch.set_num_threads(1)
+    try:
+        fitting = _Fitting(scene, settings)
+        if scene.anchor_count and settings.steps:
+            fitting.run(progress, Path(state) if state else None)
+        fitted = fitting.result()
+    finally:
+        torch.set_num_threads(threads)
     report = {
         "seconds": time.perf_counter() - started,
         "steps": fitting.done,
@@ -84,7 +94,7 @@ def fit(
         "base_step": scene.base_step,
         "plane_size": scene.dimensions.plane_size,
         "anchors": scene.anchor_count,
-        "dropped": len(given.cloud.positions) - scene.anchor_count,
+        "dropped": anchors - scene.anchor_count,
         "history": fitting.history,
     }
     return FitResult(fitted, report)
@@ -196,19 +206,22 @@ def _start(given: Given, settings: FitSettings) -> Scene:
     )
 
 
-def _columns(scene: Scene) -> NDArray[np.float32]:
-    """The symbols of all attributes, float32 [N, D]."""
+def _columns(scene: Scene, rows: slice) -> NDArray[np.float32]:
+    """The symbols of all attributes of some anchors, float32 [n, D]."""
     a = scene.attributes
-    offsets = a.offsets.reshape(scene.anchor_count, 3 * scene.dimensions.offset_count)
-    return np.concatenate([a.features, a.scalings, offsets], axis=1, dtype=np.float32, casting="same_kind")
+    offsets = a.offsets[rows].reshape(-1, 3 * scene.dimensions.offset_count)
+    parts = a.features[rows], a.scalings[rows], offsets
+    return np.concatenate(parts, axis=1, dtype=np.float32, casting="same_kind")
 
 
-def _statistics(scene: Scene, columns: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _statistics(
+    masks: NDArray[np.bool_], columns: NDArray[np.float32]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Mean and deviation of each channel's symbols, float64 [D]. A channel without symbols has 0 and 1.
 
-    columns: as _columns.
+    masks: bool [n, K]. columns: as _columns.
     """
-    kept = np.repeat(scene.masks, 3, axis=1)
+    kept = np.repeat(masks, 3, axis=1)
     blocks = [slice(begin, begin + BLOCK) for begin in range(0, len(columns), BLOCK)]
 
     def total(function: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> NDArray[np.float64]:
@@ -240,22 +253,24 @@ class _Note(Struct, forbid_unknown_fields=True):
 class _Fitting:
     """A fit in progress (state.Savable).
 
-    symbols: float32 [N, D], and kept: float32 [N, K], of all anchors. history: step, bits of an attribute's symbol and
-    bits of all planes, now and then.
+    symbols: float32 [n, D], and kept: float32 [n, K], of the anchors that are drawn. total: the number of all anchors.
+    history: step, bits of an attribute's symbol and bits of all planes, now and then.
     """
 
     def __init__(self, scene: Scene, settings: FitSettings) -> None:
         d, a = scene.dimensions, scene.attributes
         self.scene, self.settings = scene, settings
-        self.symbols = torch.from_numpy(_columns(scene))
-        self.kept = torch.from_numpy(scene.masks.astype(np.float32))
-        self.count = scene.anchor_count
-        self.symbol_count = (d.features + a.scalings.shape[1]) * self.count + 3 * float(self.kept.sum())
+        self.total = scene.anchor_count
+        rows = slice(None, None, -(-self.total // SAMPLE) or 1)
+        self.symbols = torch.from_numpy(_columns(scene, rows))
+        self.kept = torch.from_numpy(scene.masks[rows].astype(np.float32))
+        self.count = len(self.kept)
+        self.symbol_count = (d.features + a.scalings.shape[1]) * self.total + 3 * float(scene.masks.sum())
         hyperprior = VectorMatrix(d.plane_channels, d.frequency_count)
         start = torch.Generator().manual_seed(settings.seed)
-        self.contexts = hyperprior.contexts(scene.frame, scene.positions, d.plane_size)
-        sizes, columns = (d.plane_size, choose_width(self.count)), Columns(d.slices, d.offset_count)
-        statistics = _statistics(scene, self.symbols.numpy())
+        self.contexts = hyperprior.contexts(scene.frame, scene.positions[rows], d.plane_size)
+        sizes, columns = (d.plane_size, choose_width(self.total)), Columns(d.slices, d.offset_count)
+        statistics = _statistics(scene.masks[rows], self.symbols.numpy())
         self.model = RateModel(hyperprior, *sizes, *statistics, start, settings.entropy, scene.carm_shift, columns)
         groups = [{"params": [self.model.latents]}, {"params": self.model.coding_parameters()}]
         self.optimiser = torch.optim.Adam(groups)
@@ -288,7 +303,7 @@ class _Fitting:
         rows = torch.randint(self.count, (batch,), generator=self.draw)
         hidden = model.activations(self.contexts.inputs(planes, rows, model.integers))
         bits = model.attribute_bits(hidden, self.symbols[rows], self.kept[rows]).sum()
-        loss = bits * (self.count / batch)
+        loss = bits * (self.total / batch)
         if self.done % settings.plane_period == 0:
             plane_bits = model.plane_bits(planes)
             self.plane_bits = float(plane_bits.detach())
@@ -301,7 +316,7 @@ class _Fitting:
         self.schedule.step()
         self.done += 1
         if self.done % max(settings.steps // settings.notes, 1) == 0:
-            each = float(bits.detach()) * self.count / batch / self.symbol_count
+            each = float(bits.detach()) * self.total / batch / self.symbol_count
             self.history.append((self.done, each, self.plane_bits))
 
     @torch.no_grad()
@@ -325,7 +340,7 @@ class _Fitting:
 
     def fingerprint(self) -> dict[str, Any]:
         """As state.Savable."""
-        return {"settings": document(self.settings), "anchors": self.count, "planes": list(self.model.latents.shape)}
+        return {"settings": document(self.settings), "anchors": self.total, "planes": list(self.model.latents.shape)}
 
     def state(self) -> dict[str, Any]:
         model = {f"model.{name}": value for name, value in self.model.state_dict().items()}

@@ -78,7 +78,7 @@ def test_a_scene_is_as_good_as_wanted(degree: int) -> None:
     splats = made(400, degree)
     cameras = orbit(splats, AXES["-y"], 48, 8, 2)
     render = RenderInfo(near_plane=near_plane(splats))
-    result = converted(splats, cameras, render, 1, 40, 20)
+    result = converted([splats], cameras, render, 1, 40, 20)
     assert result.whole
     assert abs(np.mean(result.psnr) - 40) < 1
     scene = result.scene
@@ -136,7 +136,7 @@ def test_a_sky_costs_nothing(distance: float) -> None:
     """One Gaussian far out sets neither the lattice nor a step of the others, and is where it was."""
     splats = far_out(made(200, 0), distance)
     cameras = generated(splats, AXES["-y"], 48, 8, 8)
-    result = converted(splats, cameras, RenderInfo(near_plane=near_plane(splats)), 1, 44, 5)
+    result = converted([splats], cameras, RenderInfo(near_plane=near_plane(splats)), 1, 44, 5)
     assert abs(np.mean(result.psnr) - 44) < 1
     mean = static_splats(parse(emit(result.scene)).scene).mean
     assert abs(np.abs(mean).max() / distance - 1) < 1e-3
@@ -177,4 +177,4 @@ def test_gaussians_in_one_place() -> None:
     splats = made(50, 0)
     splats.mean[:] = 3
     cameras = orbit(splats, AXES["-y"], 24, 4, 1)
-    assert converted(splats, cameras, RenderInfo(near_plane=near_plane(splats)), 1, 30, 2).scene.anchor_count > 0
+    assert converted([splats], cameras, RenderInfo(near_plane=near_plane(splats)), 1, 30, 2).scene.anchor_count > 0
