@@ -82,11 +82,12 @@ def in_turn(wanted: Mapping[str, Decoder], rounds: int) -> dict[str, list[tuple[
         name = [*wanted][number % len(wanted)]
         spent = usage(*wanted[name])
         if spent.status == DONE:
-            process = {"seconds": spent.seconds, "processor": spent.processor}
-            own = spent.printed.startswith("{")
-            runs[name].append(
-                (spent, json.loads(spent.printed) if own else process | {"digest": spent.printed.split()[1]})
-            )
+            process: dict[str, Any] = {"seconds": spent.seconds, "processor": spent.processor}
+            if spent.printed.startswith("{"):
+                process = json.loads(spent.printed)
+            elif spent.printed:
+                process |= {"digest": spent.printed.split()[1]}
+            runs[name].append((spent, process))
     return {name: own for name, own in runs.items() if own}
 
 
@@ -119,7 +120,7 @@ def decode(anchors: int, rounds: int, kept: Path = KEPT) -> list[str]:
 
 
 def scale(sizes: Sequence[int], rounds: int, kept: Path = KEPT) -> list[str]:
-    """Returns the lines of the section about whole and streaming decoding."""
+    """Returns the lines of the section about whole and streaming decoding, and the encoding of a scene folder."""
     facts, rows = machine(), []
     paths = {size: large(size, kept) for size in sizes}
     wanted = {
@@ -127,16 +128,22 @@ def scale(sizes: Sequence[int], rounds: int, kept: Path = KEPT) -> list[str]:
         for size, path in paths.items()
         for way in ("whole", "streaming")
     }
+    for count, path in paths.items():
+        folder, refcodec = path.with_suffix(""), [sys.executable, "-m", "refcodec"]
+        if not folder.exists():
+            subprocess.run([*refcodec, "decode", path, "-o", folder], check=True, stdout=subprocess.DEVNULL)
+        wanted[f"{count} encode"] = [*refcodec, "encode", str(folder), "-o", str(kept / "again.c3gs")], {}
     for name, own in in_turn(wanted, rounds).items():
         size, way = name.split()
         times = [median(result[clock] for _, result in own) for clock in ("seconds", "processor")]
         row = [f"{int(size):,}", f"{paths[int(size)].stat().st_size:,}", way, *(f"{time:.2f}" for time in times)]
         rows.append([*row, f"{1e6 * times[1] / int(size):.2f}", mib(max(spent.peak for spent, _ in own))])
-    head = ["anchors", "bytes", "decode", "seconds", "processor seconds", "of an anchor, µs", "resident MiB"]
+    head = ["anchors", "bytes", "way", "seconds", "processor seconds", "of an anchor, µs", "resident MiB"]
     return [
         facts,
         f"Medians of {rounds} rounds, and the largest peak memory. Whole decoding holds the scene. Streaming decoding",
-        "reads the file in blocks, and releases each chunk. The symbols are those of `decode`.",
+        "reads the file in blocks, and releases each chunk. The symbols are those of `decode`. encode: of the",
+        "scene folder, with the start of the process and reading.",
         "",
         *table(head, rows),
     ]

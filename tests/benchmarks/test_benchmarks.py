@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from benchmarks import __main__ as front_door
-from benchmarks import converted, exports, front, gpu, results, viewers, worst
+from benchmarks import converted, exports, front, gpu, millions, results, viewers, worst
 from benchmarks.large import TRAINED, large_file, made_static
 from benchmarks.peers import __main__ as peers
 from benchmarks.peers.speed import repeated
@@ -51,7 +51,7 @@ def test_decoders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytes
     assert front_door.main(["scale", "--anchors", "300", "5000", "--rounds", "1"], tmp_path) == 0
     printed = capsys.readouterr().out
     assert "| refcodec, numpy, with the digest |" in printed
-    assert printed.count("| 300 |") + printed.count("| 5,000 |") == 4
+    assert printed.count("| 300 |") + printed.count("| 5,000 |") == 6
     text = (tmp_path / "RESULTS.md").read_text()
     assert "<!-- decode: begin -->\n## Decoding a large scene\n\n`python -m benchmarks decode --anchors 300 " in text
 
@@ -205,6 +205,16 @@ def test_converted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pyte
     assert whole[1] == "150 Gaussians"
     assert float(low[6]) + 3 < float(high[6]) <= 45
     assert int(low[2].replace(",", "")) < int(spz[8].replace(",", "")) <= int(high[2].replace(",", ""))
+
+
+def test_millions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """Copies are no two the same, and are coded; without Niantic's library there is no row of it."""
+    assert len(np.unique(millions.many(splats(40, 1), 3).mean, axis=0)) == 120
+    file = tmp_path / "ball.ply"
+    file.write_bytes(write_splats(splats(40, 1), ".ply"))
+    monkeypatch.setattr(millions, "SPZ", "raise ImportError")
+    assert millions.main([str(tmp_path / "out"), str(file), "--copies", "1", "2"]) == 0
+    assert [row[0] for row in printed(capsys)] == ["40", "80"]
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
