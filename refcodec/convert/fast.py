@@ -92,7 +92,7 @@ END, OFFSET_MOST = 0.4 * 2**CELL_LEVELS, 1 << 13
 ODD = 0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9
 AROUND, DISTANCES = [np.array(step) for step in sorted(np.ndindex(2, 2, 2), key=sum)[1:]], (1, -1, 2, -2, 3, -3)
 # The entropy model: steps of training, and what differs from a fit of longer training.
-STEPS, BATCH, LEARNING_RATE = 600, 2048, 0.02
+STEPS, BATCH, LEARNING_RATE, PLANE_PERIOD = 600, 2048, 0.02, 8
 # Bits by which its weights are coarser than its integers. They save 0.6 to 1 % of a file (own measurement).
 COARSER = 3
 # Cameras around the Gaussians that measure, and the sides of their images in pixels.
@@ -437,7 +437,9 @@ def converted(
     del symbols, scalings, features, offsets
     static, shown = replace(render, render_model=STATIC), tuple(spread_cameras(cameras[TRAIN], stated))
     entropy = EntropySettings(slices=_slices(count))
-    learning = FitSettings(steps=steps, batch=BATCH, network_learning_rate=LEARNING_RATE, entropy=entropy)
+    learning = FitSettings(
+        steps=steps, batch=BATCH, network_learning_rate=LEARNING_RATE, plane_period=PLANE_PERIOD, entropy=entropy
+    )
     # The last ones are the steps of features, scalings and offsets.
     result = fit(Given(clouds.pop(), None, grid, networks, static, shown, (1.0, 1.0, 1.0)), learning, progress=show)
     faint, dropped = given_count - measured_count, measured_count - n
