@@ -72,7 +72,7 @@ def convert(source: kinds.AnyPath, output: kinds.SceneFolder, **words: Unpack[Co
     pictures.
     Options that train also has work as there.
     With --fast, the Gaussians of a splat file themselves are coded, as a static scene, in about a minute; a
-    million need 2.1 GB of memory and 143 processor seconds. The output is a C3GS file then. Pictures only
+    million need 1.1 GB of memory and 60 processor seconds. The output is a C3GS file then. Pictures only
     measure which numbers matter.
     No code of a model runs: pickles are checked first, and TorchScript is read but not executed.
     Needs: pip install 'refcodec[convert]'.

@@ -126,13 +126,13 @@ def frequencies(counts: Int64, first: int) -> Int64:
     return frequency
 
 
-def position_model(positions: NDArray[np.float16], chunk_size: int) -> PositionModel:
+def position_model(positions: NDArray[np.float16], chunk_size: int, chunks: list[range] | None = None) -> PositionModel:
     """SPEC B.1: returns cell_shift and the observed frequencies in the chunks that can be packed.
 
-    positions: float16 [N, 3], finite, in file order.
+    positions: float16 [N, 3], finite, in file order. chunks: the anchors of each, None for the fewest chunks.
     """
     cell_shift, counter = choose_cells(positions), _Counter()
-    for chunk in chunk_ranges(len(positions), chunk_size):
+    for chunk in chunk_ranges(len(positions), chunk_size) if chunks is None else chunks:
         code = chunk_codes(positions[chunk.start : chunk.stop], cell_shift)
         if code is not None:
             code_cells(counter, tables().gauss, [], [len(chunk)], code)
@@ -140,10 +140,16 @@ def position_model(positions: NDArray[np.float16], chunk_size: int) -> PositionM
     return PositionModel(cell_shift, np.array(frequency, dtype=np.uint16))
 
 
-def pack_positions(scene: Scene) -> Scene:
+def pack_positions(scene: Scene, layers: Int64 | None = None) -> Scene:
     """SPEC B.1: returns the scene with its anchors along the Morton curve, and with an index of mode 1.
 
-    The attributes of an anchor do not change.
+    layers: of each anchor, from 0, int64 [N]: those of layer 0 come first, and no chunk has anchors of two. None for a
+    single one. The attributes of an anchor do not change.
     """
-    scene = take_anchors(scene, morton_order(scene.positions))
-    return replace(scene, position_model=position_model(scene.positions, scene.chunk_size))
+    order, chunks = morton_order(scene.positions), None
+    if layers is not None:
+        order = order[np.argsort(layers[order], kind="stable")]
+        ranges = [chunk_ranges(count, scene.chunk_size) for count in np.bincount(layers).tolist()]
+        chunks = tuple(len(chunk) for own in ranges for chunk in own)
+    scene = replace(take_anchors(scene, order), chunk_anchors=chunks)
+    return replace(scene, position_model=position_model(scene.positions, scene.chunk_size, scene.chunks))

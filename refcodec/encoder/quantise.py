@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..bitstream.attributes import ATTRIBUTE_SYMBOL_MAX, KINDS, Attributes, zero_attributes
 from ..bitstream.cameras import NamedCamera, camera_sections
 from ..bitstream.codec import derive_steps
-from ..bitstream.conventions import F32
+from ..bitstream.conventions import F32, Int64
 from ..bitstream.dimensions import Dimensions
 from ..bitstream.frame import Frame
 from ..bitstream.header import Lanes, PositionGrid, RenderInfo
@@ -32,16 +32,16 @@ VARYING = 1e-5
 BLOCK = 1 << 16
 
 
-def packed(scene: Scene, positions: str | None, weights: str | None) -> Scene:
+def packed(scene: Scene, positions: str | None, weights: str | None, layers: Int64 | None = None) -> Scene:
     """Returns the scene with positions and weights in the wanted modes.
 
     positions, weights: "raw" for mode 0, "packed" for mode 1. None packs them in Main, and keeps their mode in Tiny.
-    Packed ones are not packed again.
+    Packed ones are not packed again. layers: as for pack_positions.
     """
     if positions == "raw":
         scene = replace(scene, position_model=None, position_forms=None)
     elif scene.position_model is None and (positions or scene.profile == MAIN):
-        scene = pack_positions(scene)
+        scene = pack_positions(scene, layers)
     if weights == "raw":
         return replace(scene, weight_scales=None, weight_forms=None)
     if scene.weight_scales is None and (weights or scene.profile == MAIN):

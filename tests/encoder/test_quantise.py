@@ -9,6 +9,7 @@ import pytest
 from random_scenes import random_networks
 
 from conformance.cases.scenes import TINY_DIMENSIONS
+from conformance.manifest import VECTORS
 from refcodec.bitstream import codec
 from refcodec.bitstream.context import contract, frame_coordinates, rescale
 from refcodec.bitstream.frame import (
@@ -24,12 +25,14 @@ from refcodec.bitstream.header import PositionGrid
 from refcodec.bitstream.limits import TINY
 from refcodec.bitstream.positions import position_integers
 from refcodec.bitstream.reconstruction import reconstruct, world_positions
+from refcodec.bitstream.scene import Scene
 from refcodec.bitstream.source import Piece
 from refcodec.encoder import quantise
 from refcodec.encoder.cloud import AnchorCloud
 from refcodec.encoder.frame import choose_frame
+from refcodec.encoder.layers import coarse_layers
 from refcodec.encoder.masks import mask_model
-from refcodec.encoder.positions import choose_grid, morton_order, to_fp16
+from refcodec.encoder.positions import choose_grid, morton_order, pack_positions, to_fp16
 from refcodec.encoder.sizes import choose_lanes, choose_plane_size
 
 
@@ -232,3 +235,21 @@ def test_values_that_no_symbol_can_hold_are_refused():
     features[2, 1] = np.nan
     with pytest.raises(ValueError, match="not finite"):
         quantised(replace(cloud, features=features), rng)
+
+
+def test_layers_show_the_whole_scene_first() -> None:
+    """The anchors are the same; those of layer 0 fill the first chunks, and cover more than all that come later."""
+    scene = codec.parse((VECTORS / "valid" / "trained-snowmiku.c3gs").read_bytes()).scene
+    layers = coarse_layers(scene)
+    counts = np.bincount(layers)
+    assert np.array_equal(np.cumsum(counts), [len(layers) // 4, len(layers)])
+    again = codec.parse(codec.emit(pack_positions(scene, layers))).scene
+    assert [len(chunk) for chunk in again.chunks] == counts.tolist()
+
+    def rows(some: Scene, chosen: np.ndarray | slice) -> np.ndarray:
+        return np.unique(np.concatenate([some.positions[chosen], some.attributes.features[chosen]], axis=1), axis=0)
+
+    assert np.array_equal(rows(again, slice(None)), rows(scene, slice(None)))
+    assert np.array_equal(rows(again, slice(counts[0])), rows(scene, layers == 0))
+    area = np.exp(np.sort(reconstruct(scene).scalings[:, 3:], axis=1)[:, 1:].sum(axis=1)) * scene.masks.sum(axis=1)
+    assert area[layers == 0].min() >= area[layers == 1].max()

@@ -1,0 +1,47 @@
+"""SPEC.md B.1: layers of anchors, so that the first chunks of a file show the whole scene coarsely."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..bitstream.chunks import chunk_ranges
+from ..bitstream.conventions import Int64
+from ..bitstream.dimensions import STATIC
+from ..bitstream.reconstruction import gaussians, reconstruct
+from ..bitstream.scene import Scene, take_anchors
+from ..bitstream.splat import LENGTHS, LOGIT, derive_rendering
+
+# A layer has three times the anchors of all layers before it, and the first one at least so many.
+LEAST = 400
+# Anchors of a block.
+BLOCK = 1 << 16
+
+
+def coarse_layers(scene: Scene) -> Int64:
+    """SPEC B.1: returns the layer of each anchor, int64 [N], 0 for the first one.
+
+    The anchors whose Gaussians cover the largest area come first. The area of a Gaussian is the product of its two
+    longest axes and, in a static scene, of its opacity. That of an anchor whose Gaussians depend on the view is by its
+    scalings and the number of its kept offsets.
+    """
+    static, area = scene.render.render_model == STATIC, np.empty(scene.anchor_count)
+    networks = derive_rendering(scene.networks) if static else None
+    for block in chunk_ranges(scene.anchor_count, BLOCK):
+        part = take_anchors(scene, slice(block.start, block.stop))
+        values = reconstruct(part)
+        if static:
+            numbers = gaussians(part, values, networks).astype(np.float64)
+            longest = np.sort(numbers[:, LENGTHS], axis=1)[:, 1:].sum(axis=1)
+            each = np.exp(longest - np.logaddexp(0, -numbers[:, LOGIT].reshape(-1)))
+            own = np.bincount(np.nonzero(part.masks)[0], each, len(part.masks))
+        else:
+            own = np.exp(np.sort(values.scalings[:, 3:].astype(np.float64), axis=1)[:, 1:].sum(axis=1))
+            own *= part.masks.sum(axis=1)
+        area[block.start : block.stop] = own
+    rank = np.empty(len(area), np.int64)
+    rank[np.argsort(-area, kind="stable")] = np.arange(len(area))
+    ends = [len(area)]
+    while ends[0] // 4 >= LEAST:
+        ends.insert(0, ends[0] // 4)
+    layers: Int64 = np.searchsorted(ends, rank, side="right")
+    return layers
