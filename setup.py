@@ -23,7 +23,7 @@ LIBRARY = "kernel.so"
 FLAGS = ["-std=gnu11", "-O3", "-g0", "-fvisibility=hidden", "-ffp-contract=off", "-fno-math-errno", "-pthread"]
 KERNEL = Extension(
     "refcodec.native.kernel",
-    ["refcodec/native/kernel.c", "refcodec/native/splat.c"],
+    ["refcodec/native/kernel.c"],
     depends=["refcodec/native/kernel.h", "refcodec/native/module.h", "refcodec/native/variant.h"],
     extra_compile_args=FLAGS,
     extra_link_args=["-pthread"],

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from ..bitstream.cameras import NamedCamera, cameras
 from ..bitstream.codec import emit
+from ..bitstream.dimensions import STATIC
 from ..bitstream.metadata import metadata
 from ..bitstream.reconstruction import Reconstruction, digest, reconstruct
 from ..bitstream.scene import Scene as CodedScene
@@ -180,7 +181,7 @@ class Scene:
         """
         camera = camera or self.camera
         check_camera(camera)
-        return gaussians_of(self.coded, camera, self.values)
+        return gaussians_of(self.coded, camera, None if self.coded.render.render_model == STATIC else self.values)
 
     @cached_property
     def splats(self) -> Splats:
@@ -188,7 +189,7 @@ class Scene:
 
         Raises ValueError for a scene that is not static.
         """
-        splats: Splats = read_only(static_splats(self.coded, self.values))
+        splats: Splats = read_only(static_splats(self.coded))
         return splats
 
     def render(self, camera: Camera | None = None) -> NDArray[np.uint8]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import struct
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,8 +20,8 @@ from .conventions import F32, f32_parts, round_to_f32
 from .dimensions import RENDERING, STATIC, dimension_fields
 from .header import render_fields
 from .positions import position_integers
-from .scene import Scene
-from .splat import HARMONICS, Rendering, derive_rendering, splat
+from .scene import Scene, take_anchors
+from .splat import COLUMNS, HARMONICS, Rendering, derive_rendering, splat
 from .tables import STEP_SHIFT, step_table
 
 # SPEC 9.3: the first hashed bytes of the digests of a scene and of a chunk, and the parts of the reconstruction.
@@ -29,8 +29,8 @@ DIGEST_MAGIC = b"C3GSREC1"
 CHUNK_MAGIC = b"C3GSCHK1"
 PARTS = ("positions", "masks", "planes", "features", "scalings", "offsets", "weights")
 SPLAT = "splat"
-# Anchors whose Gaussians are computed at once.
-SPLAT_ANCHORS = 4096
+# Anchors whose Gaussians are computed at once, by all threads.
+SPLAT_ANCHORS = 16384
 
 
 def part_names(render_model: int) -> tuple[str, ...]:
@@ -134,20 +134,42 @@ def gaussians(scene: Scene, r: Reconstruction | None = None, rendering: Renderin
 
     r: the values of the scene, if known. rendering: the result of derive_rendering, if known.
     """
-    r = reconstruct(scene) if r is None else r
-    networks = derive_rendering(scene.networks) if rendering is None else rendering
-    used = kernel()
+    drawn = np.empty((np.count_nonzero(scene.masks), HARMONICS.start + scene.dimensions.colour_outputs), np.float32)
+    splat_to(scene, [drawn[:, own] for own in COLUMNS], r, rendering)
+    return drawn
+
+
+def splat_to(
+    scene: Scene, to: Sequence[F32], r: Reconstruction | None = None, rendering: Rendering | None = None
+) -> None:
+    """SPEC 9.4: sets the Gaussians of a static scene. With the kernel, no values of anchors are kept.
+
+    to: float32 [kept offsets, n] for each of COLUMNS: arrays, or columns of one. The rest is as for gaussians.
+    """
+    networks, used = derive_rendering(scene.networks) if rendering is None else rendering, kernel()
+    if used is None and r is None:
+        r = reconstruct(scene)
+
+    def blocks() -> Iterator[list[NDArray[Any]]]:
+        for first in range(0, scene.anchor_count, SPLAT_ANCHORS):
+            rows = slice(first, first + SPLAT_ANCHORS)
+            if r is None:
+                some = take_anchors(scene, rows)
+                yield [world_positions(some), some.masks, *vars(some.attributes).values()]
+            else:
+                positions, *others = (values[rows] for values in vars(r).values())
+                yield [positions, scene.masks[rows], *others]
+
     if used is not None:
         layers = [(each.weight, each.bias, each.exponent) for name in RENDERING for each in networks[name].layers]
-        return splats(used, layers, r.positions, scene.masks, r.features, r.scalings, r.offsets)
-    place = np.concatenate([[0], np.cumsum(scene.masks.sum(axis=1))])
-    floats = np.empty((int(place[-1]), HARMONICS.start + scene.dimensions.colour_outputs), np.float32)
-    # The integers of a block stay in the cache, and take little memory.
-    for first in range(0, scene.anchor_count, SPLAT_ANCHORS):
-        rows = slice(first, min(first + SPLAT_ANCHORS, scene.anchor_count))
-        values = r.positions[rows], r.features[rows], r.scalings[rows], r.offsets[rows]
-        floats[place[rows.start] : place[rows.stop]] = splat(networks, *values, scene.masks[rows])
-    return floats
+        return splats(used, layers, blocks(), to, None if r else np.stack([*map(step_values, scene.base_step)]))
+    first = 0
+    for positions, masks, features, scalings, offsets in blocks():
+        drawn = splat(networks, positions, features, scalings, offsets, masks)
+        for array, own in zip(to, COLUMNS, strict=True):
+            array[first : first + len(drawn)] = drawn[:, own]
+        first += len(drawn)
+    return None
 
 
 def weight_part(scene: Scene) -> bytes:

@@ -72,6 +72,13 @@ enum {
     ATTRIBUTE_SYMBOL_MAX = (1 << 23) - 1,
     WEIGHT_SYMBOL_MAX = (1 << 24) - 1,
     PLANE_SYMBOL_MAX = (1 << 15) - 1,
+    HARMONICS_MAX = 48,
+    OUTPUT_BITS = 12,
+    SCALING_BITS = 16,
+    SCALING_BOUND = 27 << SCALING_BITS,
+    LOG2_E = 1549082005,
+    /* The terms of the exponential. */
+    TERMS = 7,
     CELL_LEVELS = 16,
     CELL_INDEX = 40,
     CELL_MIDDLE = 1 << 15,
@@ -106,6 +113,8 @@ enum {
 enum { BLOCK = 64 };
 /* Outputs of a layer are padded to a multiple of this, and rows to a multiple of the next. */
 enum { OUTPUTS = 16, ROWS = 8 };
+/* SPEC 9.4: the rendering networks of a static scene. Together they have the most pairs of inputs of a layer. */
+enum { NETWORKS = 3, PAIRS_MAX = NETWORKS * WIDTH_MAX / 2 };
 
 static int64_t round_up(int64_t a, int64_t unit) { return (a + unit - 1) / unit * unit; }
 
@@ -320,16 +329,31 @@ KERNEL_API void kernel_tables_free(kernel_tables *tables)
 
 /* ----------------------------------------------------------------------------------------------------- networks -- */
 
+/* Outputs of a layer that are computed together, from those pairs of inputs that have a weight in them.
+ *
+ * first: the first output. vectors: of outputs. pair: [count]. weight: [count, outputs, 2].
+ */
+typedef struct {
+    int32_t first, vectors, count;
+    uint8_t *pair;
+    int16_t *weight;
+} tile;
+
 /* SPEC 7.2: a layer of integers, for products of pairs.
  *
  * in, out: padded, in to an even number and out to a multiple of OUTPUTS. What is padded has the weight 0.
- * weight: [in / 2, out, 2]. bias: [out], with half a unit of the shift. shift: [out].
+ * tile: [tiles]. bias: [out], with half a unit of the shift. shift: [out].
  */
 typedef struct {
-    int32_t in, out;
-    int16_t *weight;
+    int32_t in, out, tiles;
+    tile *tile;
     int32_t *bias, *shift;
 } layer;
+
+/* Of a kind of vectors: outputs of a vector, and the most vectors of a tile. */
+typedef struct {
+    int32_t lanes, most;
+} tiling;
 
 /* A layer as the description has it. */
 typedef struct {
@@ -344,31 +368,59 @@ typedef struct {
     layer layers[LAYERS_MAX];
 } network;
 
-/* Packs some outputs of a layer, those of `rows` [count]. */
-static layer pack(arena *a, const plain_layer *from, const int32_t *rows, int32_t count)
+/* Returns how many pairs of inputs vectors of outputs have. used: by each vector. pair: where to list them, or NULL. */
+static int32_t pairs_of(uint8_t (*used)[PAIRS_MAX], int32_t vectors, int32_t all, uint8_t *pair)
 {
-    layer to;
-    to.in = (int32_t)round_up(from->in, 2);
-    to.out = (int32_t)round_up(count, OUTPUTS);
-    to.weight = take(a, (uint64_t)to.in * (uint64_t)to.out, 2);
+    int32_t count = 0;
+    for (int32_t i = 0; i < all; i++) {
+        int any = 0;
+        for (int32_t z = 0; z < vectors; z++) any |= used[z][i];
+        if (any && pair) pair[count] = (uint8_t)i;
+        count += any;
+    }
+    return count;
+}
+
+/* Packs some outputs of a layer, those of `rows` [count], or all if it is NULL. */
+static layer pack(arena *a, tiling by, const plain_layer *from, const int32_t *rows, int32_t count)
+{
+    layer to = {.in = (int32_t)round_up(from->in, 2), .out = (int32_t)round_up(count, OUTPUTS)};
+    const int32_t vectors = to.out / by.lanes, all = to.in / 2;
+    to.tile = take(a, (uint64_t)vectors, sizeof *to.tile);
+    int16_t *weight = take(a, (uint64_t)to.in * (uint64_t)to.out, 2);
+    uint8_t *pair = take(a, (uint64_t)vectors * (uint64_t)all, 1);
     to.bias = take(a, (uint64_t)to.out, 4);
     to.shift = take(a, (uint64_t)to.out, 4);
     if (!a->base) return to;
+    uint8_t used[4 * WIDTH_MAX / 4][PAIRS_MAX] = {{0}};
     for (int32_t o = 0; o < count; o++) {
-        int32_t row = rows[o], shift = from->exponent[row];
+        int32_t row = rows ? rows[o] : o, shift = from->exponent[row];
         to.bias[o] = from->bias[row] + (shift ? 1 << (shift - 1) : 0);
         to.shift[o] = shift;
-        for (int32_t i = 0; i < from->in; i++)
-            to.weight[((int64_t)(i / 2) * to.out + o) * 2 + i % 2] = from->weight[(int64_t)row * from->in + i];
+        const int16_t *own = from->weight + (int64_t)row * from->in;
+        for (int32_t i = 0; i < from->in; i++) used[o / by.lanes][i / 2] |= own[i] != 0;
+    }
+    /* Tiles of about the same size, as few as there can be, or more if that saves loads: of weights, and of inputs. */
+    int64_t least = INT64_MAX;
+    for (int32_t n = (vectors + by.most - 1) / by.most; n <= vectors; n++) {
+        int64_t loads = 0;
+        for (int32_t t = 0; t < n; t++) {
+            int32_t first = vectors * t / n, size = vectors * (t + 1) / n - first;
+            loads += (int64_t)pairs_of(used + first, size, all, NULL) * (size + 1);
+        }
+        if (loads < least) least = loads, to.tiles = n;
+    }
+    for (int32_t t = 0; t < to.tiles; t++) {
+        int32_t first = vectors * t / to.tiles, size = vectors * (t + 1) / to.tiles - first, width = size * by.lanes;
+        to.tile[t] = (tile){first * by.lanes, size, pairs_of(used + first, size, all, pair), pair, weight};
+        for (const uint8_t *end = pair + to.tile[t].count; pair < end; pair++, weight += 2 * width)
+            for (int32_t o = 0; o < width && to.tile[t].first + o < count; o++) {
+                int32_t row = rows ? rows[to.tile[t].first + o] : to.tile[t].first + o;
+                for (int32_t i = 2 * *pair; i < 2 * *pair + 2 && i < from->in; i++)
+                    weight[2 * o + i % 2] = from->weight[(int64_t)row * from->in + i];
+            }
     }
     return to;
-}
-
-static layer pack_all(arena *a, const plain_layer *from)
-{
-    int32_t rows[4 * WIDTH_MAX];
-    for (int32_t o = 0; o < from->out; o++) rows[o] = o;
-    return pack(a, from, rows, from->out);
 }
 
 /* -------------------------------------------------------------------------------------------------------- scene -- */
@@ -649,17 +701,86 @@ static int32_t cell_of(uint32_t bits, int32_t cell_shift)
 /* A number that orders fp16 as their values do. */
 INLINE int32_t fp16_order(uint32_t bits) { return bits >> 15 ? -(int32_t)(bits & 0x7FFF) : (int32_t)bits; }
 
+/* ------------------------------------------------------------------------------------------- SPEC 9.4: Gaussians -- */
+
+/* The outputs of an offset: of opacity, covariance and colour. The last ones begin with a whole vector. */
+enum { LOGIT, LENGTHS, QUATERNION = 4, HARMONICS = OUTPUTS, OUTPUTS_MAX = HARMONICS + HARMONICS_MAX };
+/* The arrays of Gaussians. */
+enum { COLUMNS = 5 };
+/* Anchors that a thread takes at once. */
+enum { PIECE = 1024 };
+
+/* hidden: of each network, the units up to the last that has a weight behind it. last: of all networks, for an offset.
+ * units: of all networks.
+ */
+struct kernel_splatter {
+    const struct variant *variant;
+    int32_t features, offsets, colours, units;
+    layer hidden[NETWORKS], last[OFFSETS_MAX];
+};
+
+/* The arguments of kernel_splat. place: of each piece, the number of its first Gaussian. */
+typedef struct {
+    const kernel_splatter *networks;
+    int64_t count, *place;
+    const uint8_t *mask, *steps;
+    const float *position, *step;
+    const void *feature, *scaling, *offset;
+    float *to[COLUMNS];
+    uint32_t stride[COLUMNS];
+} splat_job;
+
+/* SPEC 2.4, ROUND_SCALED for a float and a power of two, limited to a bound below 2^23. It has no branch, so that the
+ * compiler makes vectors. NaN, which no file gives, counts as infinite.
+ */
+INLINE int32_t fixed(float x, float unit, float bound)
+{
+    float y = x * unit;
+    uint32_t bits = load32(&y), most = load32(&bound), sign = bits & UINT32_C(1) << 31, size = bits ^ sign;
+    store32(&y, sign | (size < most ? size : most));
+    int32_t n = (int32_t)y;
+    float rest = y - (float)n;
+    return n + (rest >= 0.5f) - (rest < -0.5f);
+}
+
+/* SPEC 9.4, EXPONENTIAL: returns m, and sets 2^n. */
+INLINE uint32_t exponential(int32_t t, float *unit)
+{
+    static const uint32_t terms[TERMS] = {1073741824, 744260848, 257945537, 59571654, 10398739, 1330132, 234908};
+    int64_t y = (int64_t)t * LOG2_E;
+    uint32_t fraction = (uint32_t)((y & ((INT64_C(1) << 46) - 1)) >> 16), m = terms[TERMS - 1];
+    UNROLL for (int i = TERMS - 2; i >= 0; i--) m = terms[i] + (uint32_t)((uint64_t)m * fraction >> 30);
+    store32(unit, (uint32_t)((y >> 46) - 30 + 127) << 23);
+    return m;
+}
+
+/* SPEC 9.4: ROUND_F32 of x * m * unit. Other numbers than those of 9.2 give any number. */
+INLINE float product(float x, uint32_t m, float unit)
+{
+    uint32_t bits = load32(&x), exponent = bits >> 23 & 255;
+    if (exponent == 0) return 0;
+    int64_t own = (int64_t)((uint64_t)((bits & 0x7fffff) | 0x800000) * m);
+    /* The conversion rounds. The product with powers of two is exact: an offset is 0 or at least 2^-64. */
+    float rounded = (float)(bits >> 31 ? -own : own);
+    uint64_t scale = (uint64_t)(exponent - 150 + 1023) << 52;
+    double power;
+    memcpy(&power, &scale, sizeof scale);
+    return (float)((double)rounded * power * (double)unit);
+}
+
 /* ----------------------------------------------------------------------------------------------------- variants -- */
 
 /* What variant.h gives for one kind of vectors. */
 struct variant {
     const char *name;
+    tiling by;
     int32_t (*decode_weights)(const kernel_tables *, decoder *, const uint8_t *, const uint64_t[2], int32_t *);
     int32_t (*decode_plane)(const kernel_scene *, const uint8_t *, uint64_t, int16_t *, workspace *, kernel_verdict *);
     int32_t (*encode_plane)(const kernel_scene *, const int16_t *, uint8_t **, uint64_t *, workspace *);
     int32_t (*decode_chunk)(const kernel_scene *, kernel_chunk *, workspace *);
     int32_t (*encode_chunk)(const kernel_scene *, kernel_chunk *, workspace *);
     void (*values)(const int32_t *, const uint8_t *, int64_t, const float *, int64_t, int64_t, float *);
+    int (*splat)(const splat_job *, int64_t, workspace *);
 };
 
 #define JOIN_(a, b) a##_##b
@@ -827,13 +948,14 @@ static int next_layer(kernel_description *d, int32_t in, int32_t out, plain_laye
     return 1;
 }
 
-static int next_network(arena *a, kernel_description *d, int32_t layers, int32_t in, int32_t out, network *to)
+static int next_network(arena *a, tiling by, kernel_description *d, int32_t layers, int32_t in, int32_t out,
+                        network *to)
 {
     plain_layer plain;
     to->count = layers;
     for (int32_t i = 0; i < layers; i++, in = plain.out) {
         if (!next_layer(d, in, i + 1 < layers ? 0 : out, &plain)) return 0;
-        to->layers[i] = pack_all(a, &plain);
+        to->layers[i] = pack(a, by, &plain, NULL, plain.out);
     }
     return 1;
 }
@@ -882,6 +1004,7 @@ static int frame_allowed(const int64_t *frame)
 static int lay_out_scene(arena *a, kernel_description d, kernel_scene *s)
 {
     int32_t width[KERNEL_SLICES_MAX], hidden = d.hyper_layers - 1, rows[4 * WIDTH_MAX];
+    const tiling by = s->variant->by;
     memcpy(width, d.slice_width, sizeof width);
     s->features = 0;
     for (int32_t i = 0; i < d.slice_count; i++) s->features += width[i];
@@ -903,10 +1026,10 @@ static int lay_out_scene(arena *a, kernel_description d, kernel_scene *s)
     s->hidden.count = hidden;
     for (int32_t i = 0; i < hidden; i++) {
         if (!next_layer(&d, last.out, 0, &last)) return 0;
-        s->hidden.layers[i] = pack_all(a, &last);
+        s->hidden.layers[i] = pack(a, by, &last, NULL, last.out);
     }
     if (!next_layer(&d, last.out, 2 * s->width + KINDS, &last)) return 0;
-    if (d.plane_channels && !next_network(a, &d, d.sarm_layers, 4, 2, &s->sarm)) return 0;
+    if (d.plane_channels && !next_network(a, by, &d, d.sarm_layers, 4, 2, &s->sarm)) return 0;
     /* SPEC 7.10: the order of the stages. */
     s->stage_count = 2 + d.slice_count;
     for (int32_t i = 0, channel = 0; i < s->stage_count; i++) {
@@ -916,11 +1039,11 @@ static int lay_out_scene(arena *a, kernel_description d, kernel_scene *s)
         g->width = i == 0 ? SCALINGS : i == 1 ? 3 * d.offset_count : width[i - 2];
         int32_t first = i == 0 ? s->features : i == 1 ? s->features + SCALINGS : channel;
         int32_t count = stage_rows(g, first, s->width, rows);
-        g->hyper = pack(a, &last, rows, count);
+        g->hyper = pack(a, by, &last, rows, count);
         g->carm.count = 0;
         if (i < 2) continue;
         /* SPEC 7.9: CARM. */
-        if (i > 2 && !next_network(a, &d, d.carm_layers, channel, 2 * g->width, &g->carm)) return 0;
+        if (i > 2 && !next_network(a, by, &d, d.carm_layers, channel, 2 * g->width, &g->carm)) return 0;
         channel += g->width;
     }
     uint64_t points = (uint64_t)s->plane_size * (uint64_t)s->plane_size * (uint64_t)s->channels;
@@ -963,6 +1086,7 @@ KERNEL_API kernel_scene *kernel_scene_new(const kernel_description *description,
     arena a = {NULL, 0};
     if (!kernel_variant_runs(variant) || !allowed(description)) return NULL;
     memset(&counted, 0, sizeof counted);
+    counted.variant = variants[variant];
     take(&a, 1, sizeof counted);
     if (!lay_out_scene(&a, *description, &counted)) return NULL;
     uint8_t *block = calloc(1, (size_t)a.used + 64);
@@ -1000,6 +1124,7 @@ typedef struct job {
     int16_t *planes;
     const int16_t *given;
     kernel_verdict *verdict;
+    const splat_job *splat;
 } job;
 
 static void *work(void *argument)
@@ -1088,6 +1213,95 @@ KERNEL_API void kernel_encode_chunks(const kernel_scene *scene, kernel_chunk *ch
     for (int64_t i = 0; i < count; i++)
         for (int part = 0; part < KERNEL_PARTS; part++) chunks[i].part[part] = NULL;
     run_job(&j, threads);
+}
+
+/* Lays the networks out, and packs them if the arena has a base. The rest is as in kernel_splatter_new. */
+static void lay_out_splatter(arena *a, kernel_splatter *s, int32_t width, const int16_t *weight, const int32_t *bias,
+                             const uint8_t *exponent)
+{
+    const int32_t outputs[NETWORKS] = {1, 7, s->colours}, place[NETWORKS] = {LOGIT, LENGTHS, HARMONICS};
+    const tiling by = s->variant->by;
+    plain_layer last[NETWORKS];
+    int32_t first[NETWORKS], used[NETWORKS];
+    s->units = 0;
+    for (int n = 0; n < NETWORKS; n++) {
+        plain_layer hidden = {s->features, width, weight, bias, exponent};
+        weight += s->features * width;
+        last[n] = (plain_layer){width, s->offsets * outputs[n], weight, bias + width, exponent + width};
+        for (int32_t i = used[n] = 0; i < width * last[n].out; i++)
+            if (weight[i] && used[n] < i % width + 1) used[n] = i % width + 1;
+        weight += width * last[n].out;
+        bias += width + last[n].out;
+        exponent += width + last[n].out;
+        hidden.out = used[n];
+        first[n] = s->units;
+        s->hidden[n] = pack(a, by, &hidden, NULL, hidden.out);
+        s->units += s->hidden[n].out;
+    }
+    for (int32_t k = 0; k < s->offsets; k++) {
+        int16_t joined[OUTPUTS_MAX * 2 * PAIRS_MAX] = {0};
+        int32_t biases[OUTPUTS_MAX] = {0};
+        uint8_t exponents[OUTPUTS_MAX] = {0};
+        for (int n = 0; n < NETWORKS; n++)
+            for (int32_t o = 0; o < outputs[n]; o++) {
+                int32_t to = place[n] + o, from = k * outputs[n] + o;
+                memcpy(joined + to * s->units + first[n], last[n].weight + from * width, 2 * (size_t)used[n]);
+                biases[to] = last[n].bias[from];
+                exponents[to] = last[n].exponent[from];
+            }
+        plain_layer own = {s->units, HARMONICS + s->colours, joined, biases, exponents};
+        s->last[k] = pack(a, by, &own, NULL, own.out);
+    }
+}
+
+EXPORT("makeSplatter")
+kernel_splatter *kernel_splatter_new(int32_t variant, uint32_t features, uint32_t width, uint32_t offsets,
+                                     uint32_t colours, const int16_t *weight, const int32_t *bias,
+                                     const uint8_t *exponent)
+{
+    if (features < 1 || features > WIDTH_MAX || width < 1 || width > WIDTH_MAX || !kernel_variant_runs(variant))
+        return NULL;
+    if (offsets < 1 || offsets > OFFSETS_MAX || colours < 1 || colours > HARMONICS_MAX) return NULL;
+    kernel_splatter counted = {.variant = variants[variant], .features = (int32_t)features,
+                               .offsets = (int32_t)offsets, .colours = (int32_t)colours};
+    arena a = {NULL, 0};
+    take(&a, 1, sizeof counted);
+    lay_out_splatter(&a, &counted, (int32_t)width, weight, bias, exponent);
+    a = (arena){calloc(1, (size_t)a.used), 0};
+    kernel_splatter *s = take(&a, 1, sizeof counted);
+    if (!s) return NULL;
+    *s = counted;
+    lay_out_splatter(&a, s, (int32_t)width, weight, bias, exponent);
+    return s;
+}
+
+static void run_splat(const job *j, int64_t i, workspace *w)
+{
+    if (!j->splat->networks->variant->splat(j->splat, i, w)) j->splat->place[i] = -1;
+}
+
+EXPORT("splat")
+int32_t kernel_splat(const kernel_splatter *s, uint32_t count, const float *position, const uint8_t *mask,
+                     const void *feature, const void *scaling, const void *offset, const uint8_t *steps,
+                     const float *step, uint32_t room, uint32_t stride, float *mean, float *length, float *quaternion,
+                     float *logit, float *harmonic, int32_t threads)
+{
+    const int64_t pieces = ((int64_t)count + PIECE - 1) / PIECE, offsets = s->offsets;
+    int64_t kept = 0, *place = malloc(sizeof *place * (size_t)(pieces + 1));
+    if (!place) return KERNEL_NO_MEMORY;
+    for (int64_t i = 0; i < count * offsets; i++) {
+        if (i % (PIECE * offsets) == 0) place[i / (PIECE * offsets)] = kept;
+        kept += mask[i] != 0;
+    }
+    splat_job own = {s, count, place, mask, steps, position, step, feature, scaling, offset,
+                     {mean, length, quaternion, logit, harmonic}, {3, 3, 4, 1, (uint32_t)s->colours}};
+    for (int c = 0; c < COLUMNS && stride; c++) own.stride[c] = stride;
+    job j = {.count = kept > room ? 0 : pieces, .run = run_splat, .splat = &own};
+    run_job(&j, threads);
+    for (int64_t i = 0; i < j.count; i++)
+        if (place[i] < 0) kept = KERNEL_NO_MEMORY;
+    free(place);
+    return kept > room ? KERNEL_REFUSED : (int32_t)kept;
 }
 
 KERNEL_API void kernel_decode_weights(const kernel_tables *tables, int32_t variant, const uint8_t *part,

@@ -19,7 +19,7 @@
 #endif
 
 /* The version of this interface. The binding refuses a library with another one. */
-enum { KERNEL_VERSION = 3 };
+enum { KERNEL_VERSION = 4 };
 
 /* Statuses that are no error codes of SPEC 10.3. */
 enum {
@@ -135,16 +135,18 @@ KERNEL_API void kernel_values(int32_t variant, const int32_t *symbols, const uin
  *
  * Returns NULL without memory, or for numbers outside SPEC 11.1.
  */
-KERNEL_API kernel_splatter *kernel_splatter_new(uint32_t features, uint32_t width, uint32_t offsets, uint32_t colours,
-                                                const int16_t *weight, const int32_t *bias, const uint8_t *exponent);
+KERNEL_API kernel_splatter *kernel_splatter_new(int32_t variant, uint32_t features, uint32_t width, uint32_t offsets,
+                                                uint32_t colours, const int16_t *weight, const int32_t *bias,
+                                                const uint8_t *exponent);
 /* SPEC 9.4, SPLAT. mean, length, quaternion, logit, harmonic: where the numbers of the first Gaussian go. stride: from
  * the numbers of one Gaussian to those of the next, or 0 if each array has them without gaps. room: in Gaussians.
+ * steps: NULL, or uint8 [count, 3]: feature, scaling and offset are symbols then, int32, and step is [3, 64].
  *
- * Returns the number of Gaussians, or KERNEL_REFUSED if they do not fit.
+ * Returns the number of Gaussians, KERNEL_REFUSED if they do not fit, or KERNEL_NO_MEMORY.
  */
 KERNEL_API int32_t kernel_splat(const kernel_splatter *splatter, uint32_t count, const float *position,
-                                const uint8_t *mask, const float *feature, const float *scaling, const float *offset,
-                                uint32_t room, uint32_t stride, float *mean, float *length, float *quaternion,
-                                float *logit, float *harmonic);
+                                const uint8_t *mask, const void *feature, const void *scaling, const void *offset,
+                                const uint8_t *steps, const float *step, uint32_t room, uint32_t stride, float *mean,
+                                float *length, float *quaternion, float *logit, float *harmonic, int32_t threads);
 
 #endif

@@ -25,7 +25,7 @@ NUMPY, NATIVE = "numpy", "native"
 LIBRARY = Path(__file__).with_name("kernel.so")
 THREADS_MAX = 256
 # kernel.h: the version of its interface, its statuses that are not error codes, and its array lengths.
-VERSION = 3
+VERSION = 4
 DONE, NO_MEMORY, REFUSED, REFUSED_FORM, REFUSED_STEPS = 0, -1, -2, -3, -4
 SLICES_MAX, PARTS, PLANES, NUMBERS = 16, 3, 5, 2
 
@@ -89,8 +89,8 @@ _FUNCTIONS = {
     "kernel_decode_chunks": (None, [Pointer, Pointer, _INT64, _INT32]),
     "kernel_encode_chunks": (None, [Pointer, Pointer, _INT64, _INT32]),
     "kernel_free": (None, [Pointer]),
-    "kernel_splatter_new": (Pointer, [*[_UINT32] * 4, Pointer, Pointer, Pointer]),
-    "kernel_splat": (_INT32, [Pointer, _UINT32, *[Pointer] * 5, _UINT32, _UINT32, *[Pointer] * 5]),
+    "kernel_splatter_new": (Pointer, [_INT32, *[_UINT32] * 4, Pointer, Pointer, Pointer]),
+    "kernel_splat": (_INT32, [Pointer, _UINT32, *[Pointer] * 7, _UINT32, _UINT32, *[Pointer] * 5, _INT32]),
     "kernel_values": (None, [_INT32, Pointer, Pointer, _INT64, Pointer, _INT64, _INT64, Pointer]),
 }
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import weakref
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 
 from .library import NO_MEMORY, PLANES, REFUSED, Kernel, KernelChunk, KernelDescription, KernelVerdict
 
+F32 = NDArray[np.float32]
 Layers = list[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]]
 
 
@@ -200,7 +202,7 @@ def _checked(verdicts: list[KernelVerdict]) -> list[KernelVerdict]:
     """Returns the verdicts. Raises MemoryError without memory, and RuntimeError for unchecked input."""
     statuses = [verdict.status for verdict in verdicts]
     if NO_MEMORY in statuses:
-        raise MemoryError("no memory for a chunk in the native kernel")
+        raise MemoryError("no memory in the native kernel")
     if REFUSED in statuses:
         raise RuntimeError("the native kernel refused validated input: please report this bug")
     return verdicts
@@ -255,34 +257,30 @@ def values(
 
 
 def splats(
-    kernel: Kernel,
-    layers: Layers,
-    positions: NDArray[np.float32],
-    masks: NDArray[np.bool_],
-    features: NDArray[np.float32],
-    scalings: NDArray[np.float32],
-    offsets: NDArray[np.float32],
-) -> NDArray[np.float32]:
-    """SPEC 9.4, SPLAT: returns the Gaussians of anchors, float32 [kept offsets, 11 + colour_outputs].
+    kernel: Kernel, layers: Layers, blocks: Iterable[Sequence[NDArray[Any]]], to: Sequence[F32], table: F32 | None
+) -> None:
+    """SPEC 9.4, SPLAT: sets the Gaussians of anchors.
 
-    layers: for each layer of the rendering networks, weights, biases and exponents, int64. The rest is as in
-    bitstream.splat.splat. Raises MemoryError.
+    layers: for each layer of the rendering networks, weights, biases and exponents, int64. blocks: of anchors; each has
+    positions, masks, features, scalings and offsets as in bitstream.splat.splat. With a table, float32 [3, 64] as in
+    `values`, the last three are symbols, int32, and step indices follow, uint8 [n, 3]. to: arrays for the means,
+    lengths, quaternions, logits and harmonics of all kept offsets, in C order, or columns of one. Raises MemoryError.
     """
-    (width, inputs), k = layers[0][0].shape, masks.shape[1]
-    colours = len(layers[-1][1]) // k
-    held = [np.ascontiguousarray(array) for array in (positions, masks, features, scalings, offsets)]
-    drawn = np.empty((np.count_nonzero(masks), 11 + colours), np.float32)
-    joined = _joined(layers)
-    networks = kernel.library.kernel_splatter_new(inputs, width, k, colours, *map(_address, joined))
+    (width, inputs), k = layers[0][0].shape, len(layers[1][1])
+    joined, colours = _joined(layers), len(layers[-1][1]) // k
+    networks = kernel.library.kernel_splatter_new(kernel.variant, inputs, width, k, colours, *map(_address, joined))
     if not networks:
         raise MemoryError("no memory for the rendering networks in the native kernel")
+    stride = 0 if all(array.flags.c_contiguous for array in to) else to[0].strides[0] // to[0].itemsize
+    first, room = 0, len(to[0])
     try:
-        # The first numbers of the mean, the lengths, the quaternion, the opacity and the harmonics.
-        to = [drawn.ctypes.data + drawn.itemsize * column for column in (0, 3, 6, 10, 11)]
-        given = [array.ctypes.data for array in held]
-        count = kernel.library.kernel_splat(networks, len(masks), *given, len(drawn), drawn.shape[1], *to)
+        for block in blocks:
+            held = [np.ascontiguousarray(array) for array in block]
+            given = [*map(_address, held), *([None] if table is None else []), _address(table)]
+            places = [array.ctypes.data + first * array.strides[0] for array in to]
+            sizes = room - first, stride
+            count = kernel.library.kernel_splat(networks, len(held[0]), *given, *sizes, *places, kernel.threads)
+            _checked([KernelVerdict(min(count, 0))])
+            first += count
     finally:
         kernel.library.kernel_free(networks)
-    if count != len(drawn):
-        raise RuntimeError("the native kernel refused validated input: please report this bug")
-    return drawn

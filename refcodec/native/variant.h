@@ -105,22 +105,26 @@ INLINE __m512i NAMED(dot)(__m512i acc, __m512i pair, __m512i w)
 #define TILE_ROWS(vectors) ((vectors) <= (LANES == 16 ? 3 : 1) ? ROWS : ROWS / 2)
 #endif
 
-/* Computes `vectors` vectors of outputs from output `o` on, for `rows` rows. The compiler knows both numbers.
+/* Computes a tile of `vectors` vectors for `rows` rows. The compiler knows both numbers.
  *
  * add: whether they are added to what `last` has.
  */
-INLINE void NAMED(tile)(const layer *l, const int16_t *a, int32_t stride, int32_t o, const int rows, const int vectors,
-                        int16_t *hidden, int32_t *last, int32_t to, const int add)
+INLINE void NAMED(tile)(const layer *l, const tile *t, const int16_t *a, int32_t stride, const int rows,
+                        const int vectors, int16_t *hidden, int32_t *last, int32_t to, const int add)
 {
+    const int32_t o = t->first;
     VECTOR acc[ROWS][5];
     UNROLL for (int r = 0; r < rows; r++)
         UNROLL for (int z = 0; z < vectors; z++) acc[r][z] = LOAD(l->bias + o + LANES * z);
-    const int16_t *w = l->weight + 2 * (int64_t)o;
-    for (int32_t i = 0; i < l->in; i += 2, w += 2 * (int64_t)l->out) {
+    const int16_t *w = t->weight;
+    const int16_t *input[ROWS];
+    UNROLL for (int r = 0; r < rows; r++) input[r] = a + (int64_t)r * stride;
+    for (int32_t i = 0; i < t->count; i++, w += 2 * LANES * vectors) {
+        const int64_t place = 2 * t->pair[i];
         PAIRS weights[5];
         UNROLL for (int z = 0; z < vectors; z++) weights[z] = LOAD_PAIRS(w + 2 * LANES * z);
         UNROLL for (int r = 0; r < rows; r++) {
-            int32_t pair = (int32_t)load32(a + (int64_t)r * stride + i);
+            int32_t pair = (int32_t)load32(input[r] + place);
             UNROLL for (int z = 0; z < vectors; z++) acc[r][z] = DOT(acc[r][z], pair, weights[z]);
         }
     }
@@ -138,14 +142,14 @@ INLINE void NAMED(tile)(const layer *l, const int16_t *a, int32_t stride, int32_
 }
 
 /* The tiles of ROWS rows. */
-INLINE void NAMED(tiles)(const layer *l, const int16_t *a, int32_t stride, int32_t o, const int vectors,
+INLINE void NAMED(tiles)(const layer *l, const tile *t, const int16_t *a, int32_t stride, const int vectors,
                          int16_t *hidden, int32_t *last, int32_t to, const int add)
 {
     const int rows = TILE_ROWS(vectors);
     for (int32_t r = 0; r < ROWS; r += rows) {
         int16_t *h = hidden ? hidden + (int64_t)r * to : NULL;
         int32_t *y = last ? last + (int64_t)r * to : NULL;
-        NAMED(tile)(l, a + (int64_t)r * stride, stride, o, rows, vectors, h, y, to, add);
+        NAMED(tile)(l, t, a + (int64_t)r * stride, stride, rows, vectors, h, y, to, add);
     }
 }
 
@@ -157,24 +161,18 @@ INLINE void NAMED(tiles)(const layer *l, const int16_t *a, int32_t stride, int32
 INLINE void NAMED(layer_rows)(const layer *l, const int16_t *a, int32_t stride, int32_t rows, int16_t *hidden,
                               int32_t *last, int32_t to, const int add)
 {
-    int32_t vectors = l->out / LANES;
-    /* As few tiles as there can be, of about the same size. */
-    int32_t tiles = (vectors + TILE_MOST - 1) / TILE_MOST;
     for (int32_t r = 0; r < rows; r += ROWS) {
         const int16_t *x = a + (int64_t)r * stride;
         int16_t *h = hidden ? hidden + (int64_t)r * to : NULL;
         int32_t *y = last ? last + (int64_t)r * to : NULL;
-        for (int32_t t = 0, o = 0; t < tiles; t++) {
-            int32_t z = (vectors * (t + 1) / tiles) - (vectors * t / tiles);
-            switch (z) {
-            case 1: NAMED(tiles)(l, x, stride, o, 1, h, y, to, add); break;
-            case 2: NAMED(tiles)(l, x, stride, o, 2, h, y, to, add); break;
-            case 3: NAMED(tiles)(l, x, stride, o, 3, h, y, to, add); break;
-            case 4: NAMED(tiles)(l, x, stride, o, 4, h, y, to, add); break;
-            default: NAMED(tiles)(l, x, stride, o, 5, h, y, to, add); break;
+        for (const tile *t = l->tile; t < l->tile + l->tiles; t++)
+            switch (t->vectors) {
+            case 1: NAMED(tiles)(l, t, x, stride, 1, h, y, to, add); break;
+            case 2: NAMED(tiles)(l, t, x, stride, 2, h, y, to, add); break;
+            case 3: NAMED(tiles)(l, t, x, stride, 3, h, y, to, add); break;
+            case 4: NAMED(tiles)(l, t, x, stride, 4, h, y, to, add); break;
+            default: NAMED(tiles)(l, t, x, stride, 5, h, y, to, add); break;
             }
-            o += z * LANES;
-        }
     }
 }
 
@@ -722,19 +720,16 @@ static int NAMED(code_plane)(const kernel_scene *s, NAMED(plane_work) *p, decode
     return 1;
 }
 
-/* Returns how many words a substream of so many bytes has at most. */
-INLINE uint64_t NAMED(words_of)(uint64_t length) { return length / 2; }
-
 static int32_t NAMED(decode_plane)(const kernel_scene *s, const uint8_t *part, uint64_t length, int16_t *plane,
                                    workspace *w, kernel_verdict *v)
 {
     NAMED(plane_work) p;
     decoder d;
     arena a = {NULL, 0};
-    NAMED(lay_out_plane)(&a, s, NAMED(words_of)(length), 0, &p);
+    NAMED(lay_out_plane)(&a, s, length / 2, 0, &p);
     if (!reserve(w, a.used)) return KERNEL_NO_MEMORY;
     a = (arena){w->base, 0};
-    NAMED(lay_out_plane)(&a, s, NAMED(words_of)(length), 0, &p);
+    NAMED(lay_out_plane)(&a, s, length / 2, 0, &p);
     int32_t error = open_decoder(&d, part, length, s->plane_lanes, p.words);
     if (error) return error;
     NAMED(code_plane)(s, &p, &d, NULL, NULL);
@@ -1036,7 +1031,7 @@ static int32_t NAMED(decode_positions)(const kernel_scene *s, kernel_chunk *chun
         NAMED(chunk_work) c;
         decoder d;
         if (s->cell_shift < 0) return KERNEL_REFUSED;
-        if (!NAMED(make_room)(s, (uint64_t)n, NAMED(FOR_CELLS), NAMED(words_of)(chunk->length[0]), 0, w, &c))
+        if (!NAMED(make_room)(s, (uint64_t)n, NAMED(FOR_CELLS), chunk->length[0] / 2, 0, w, &c))
             return KERNEL_NO_MEMORY;
         int32_t error = open_decoder(&d, chunk->part[0], chunk->length[0], s->mask_lanes, c.words);
         if (error) return error;
@@ -1344,7 +1339,7 @@ static int32_t NAMED(decode_chunk)(const kernel_scene *s, kernel_chunk *chunk, w
     if (error) return error;
     /* The masks. */
     chunk->verdict.part = 1;
-    if (!NAMED(make_room)(s, (uint64_t)n, NAMED(FOR_MASKS), NAMED(words_of)(chunk->length[1]), 0, w, &c))
+    if (!NAMED(make_room)(s, (uint64_t)n, NAMED(FOR_MASKS), chunk->length[1] / 2, 0, w, &c))
         return KERNEL_NO_MEMORY;
     error = open_decoder(&d, chunk->part[1], chunk->length[1], s->mask_lanes, c.words);
     if (error) return error;
@@ -1355,7 +1350,7 @@ static int32_t NAMED(decode_chunk)(const kernel_scene *s, kernel_chunk *chunk, w
     if (kept != chunk->kept) return fault(&chunk->verdict, CHUNK_KEPT, (int64_t)kept, 0);
     /* SPEC 7.10: the attributes. */
     chunk->verdict.part = 2;
-    if (!NAMED(make_room)(s, (uint64_t)n, NAMED(FOR_ATTRIBUTES), NAMED(words_of)(chunk->length[2]), 0, w, &c))
+    if (!NAMED(make_room)(s, (uint64_t)n, NAMED(FOR_ATTRIBUTES), chunk->length[2] / 2, 0, w, &c))
         return KERNEL_NO_MEMORY;
     error = open_decoder(&d, chunk->part[2], chunk->length[2], s->attribute_lanes, c.words);
     if (error) return error;
@@ -1415,7 +1410,109 @@ static void NAMED(values)(const int32_t *symbols, const uint8_t *index, int64_t 
     }
 }
 
+/* ------------------------------------------------------------------------------------------- SPEC 9.4: Gaussians -- */
+
+/* What a piece of anchors works with. value: of each kind. inputs, hidden, picked: of networks. y: of an offset. */
+typedef struct {
+    float *value[KINDS];
+    int16_t *inputs, *hidden, *picked;
+    int32_t *y;
+} NAMED(splat_work);
+
+/* SPEC 9.4, SPLAT: the Gaussians of at most BLOCK anchors. place: of each anchor, the number of its next Gaussian. */
+static void NAMED(splat_block)(const splat_job *j, const NAMED(splat_work) *w, const int64_t *anchor, int64_t *place,
+                               int32_t rows)
+{
+    const float output_unit = 1.0f / (1 << OUTPUT_BITS), scaling_unit = 1.0f / (1 << SCALING_BITS);
+    const kernel_splatter *s = j->networks;
+    const int32_t in = s->features, units = s->units;
+    int32_t scale[BLOCK * SCALINGS], first = 0;
+    uint32_t m[BLOCK][3];
+    float unit[BLOCK][3];
+    /* Anchors that follow each other are taken together. */
+    const int32_t run = anchor[rows - 1] - anchor[0] == rows - 1 ? rows : 1, width[] = {in, SCALINGS, 3 * s->offsets};
+    const void *given[KINDS] = {j->feature, j->scaling, j->offset};
+    for (int kind = 0; kind < KINDS; kind++)
+        for (int32_t r = 0; r < rows; r += run) {
+            const int32_t *from = (const int32_t *)given[kind] + anchor[r] * width[kind];
+            float *to = w->value[kind] + r * width[kind];
+            if (j->steps) {
+                const uint8_t *index = j->steps + KINDS * anchor[r] + kind;
+                NAMED(values)(from, index, KINDS, j->step + kind * STEP_LENGTH, run, width[kind], to);
+            } else {
+                memcpy(to, from, 4 * (size_t)(run * width[kind]));
+            }
+        }
+    for (int32_t i = 0; i < rows * in; i++) w->inputs[i] = (int16_t)fixed(w->value[0][i], 1, ACTIVATION_MAX);
+    for (int32_t i = 0; i < rows * SCALINGS; i++) scale[i] = fixed(w->value[1][i], 1 << SCALING_BITS, SCALING_BOUND);
+    for (int32_t r = 0; r < rows; r++)
+        for (int i = 0; i < 3; i++) m[r][i] = exponential(scale[r * SCALINGS + i], &unit[r][i]);
+    for (int n = 0; n < NETWORKS; first += s->hidden[n++].out)
+        NAMED(layer_rows)(&s->hidden[n], w->inputs, in, rows, w->hidden + first, NULL, units, 0);
+    for (int32_t k = 0; k < s->offsets; k++) {
+        int32_t pick[BLOCK], picked = 0;
+        for (int32_t r = 0; r < rows; r++) {
+            pick[picked] = r;
+            picked += j->mask[anchor[r] * s->offsets + k] != 0;
+        }
+        const layer *last = &s->last[k];
+        const int16_t *hidden = picked < rows ? w->picked : w->hidden;
+        for (int32_t i = 0; i < picked && picked < rows; i++)
+            memcpy(w->picked + i * units, w->hidden + pick[i] * units, 2 * (size_t)units);
+        NAMED(last_layer)(last, hidden, units, picked, w->y);
+        for (int32_t i = 0; i < picked; i++) {
+            const int32_t *y = w->y + i * last->out, r = pick[i];
+            const int64_t a = anchor[r], to = place[r]++;
+            float *of[COLUMNS];
+            for (int c = 0; c < COLUMNS; c++) of[c] = j->to[c] + to * j->stride[c];
+            for (int axis = 0; axis < 3; axis++) {
+                /* ADD_F32. The 0 turns -0 into +0. */
+                of[0][axis] = j->position[3 * a + axis] +
+                             product(w->value[2][3 * (r * s->offsets + k) + axis], m[r][axis], unit[r][axis]) + 0.0f;
+                int32_t sum = scale[r * SCALINGS + 3 + axis] + y[LENGTHS + axis] * (1 << (SCALING_BITS - OUTPUT_BITS));
+                of[1][axis] = (float)sum * scaling_unit;
+            }
+            for (int i = 0; i < 4; i++) of[2][i] = (float)y[QUATERNION + i] * output_unit;
+            if (!(y[QUATERNION] | y[QUATERNION + 1] | y[QUATERNION + 2] | y[QUATERNION + 3])) of[2][0] = 1;
+            of[3][0] = (float)y[LOGIT] * output_unit;
+            for (int32_t i = 0; i < s->colours; i++) of[4][i] = (float)(y + HARMONICS)[i] * output_unit;
+        }
+    }
+}
+
+/* The Gaussians of a piece. Returns whether there is memory. */
+static int NAMED(splat)(const splat_job *j, int64_t piece, workspace *w)
+{
+    const kernel_splatter *s = j->networks;
+    NAMED(splat_work) own;
+    for (int pass = 0; pass < 2; pass++) {
+        arena a = {pass ? w->base : NULL, 0};
+        const int32_t width[] = {s->features, SCALINGS, 3 * s->offsets};
+        for (int kind = 0; kind < KINDS; kind++) own.value[kind] = take(&a, BLOCK * (uint64_t)width[kind], 4);
+        own.inputs = take(&a, (BLOCK + ROWS) * (uint64_t)s->hidden[0].in, 2);
+        own.hidden = take(&a, (BLOCK + ROWS) * (uint64_t)s->units, 2);
+        own.picked = take(&a, (BLOCK + ROWS) * (uint64_t)s->units, 2);
+        own.y = take(&a, (BLOCK + ROWS) * (uint64_t)s->last[0].out, 4);
+        if (!pass && !reserve(w, a.used)) return 0;
+    }
+    int64_t anchor[BLOCK], place[BLOCK], next = j->place[piece], end = (piece + 1) * PIECE;
+    int32_t rows = 0;
+    if (end > j->count) end = j->count;
+    for (int64_t a = piece * PIECE; a < end; a++) {
+        int64_t before = next;
+        for (int32_t k = 0; k < s->offsets; k++) next += j->mask[a * s->offsets + k] != 0;
+        anchor[rows] = a;
+        place[rows] = before;
+        rows += next > before;
+        if (rows == BLOCK || (rows && a + 1 == end)) {
+            NAMED(splat_block)(j, &own, anchor, place, rows);
+            rows = 0;
+        }
+    }
+    return 1;
+}
+
 static const struct variant NAMED(variant) = {
-    TEXT(VARIANT),       NAMED(decode_weights), NAMED(decode_plane), NAMED(encode_plane),
-    NAMED(decode_chunk), NAMED(encode_chunk),   NAMED(values),
+    TEXT(VARIANT),       {LANES, TILE_MOST},  NAMED(decode_weights), NAMED(decode_plane), NAMED(encode_plane),
+    NAMED(decode_chunk), NAMED(encode_chunk), NAMED(values),         NAMED(splat),
 };

@@ -11,10 +11,8 @@ from numpy.typing import DTypeLike, NDArray
 from ..bitstream.dimensions import RENDER_MODELS, RENDERING, STATIC
 from ..bitstream.header import RenderInfo
 from ..bitstream.networks import Layer
-from ..bitstream.reconstruction import Reconstruction, reconstruct
-from ..bitstream.reconstruction import gaussians as splat_of
+from ..bitstream.reconstruction import Reconstruction, reconstruct, splat_to
 from ..bitstream.scene import Scene
-from ..bitstream.splat import HARMONICS, LENGTHS, LOGIT, MEAN, QUATERNION
 from ..formats.harmonics import harmonics
 from ..formats.splats import Splats
 from ..statuses import UsageError
@@ -145,27 +143,24 @@ def gaussians_of(scene: Scene, camera: Camera, values: Reconstruction | None = N
     Raises RenderModelError.
     """
     check_render_model(scene.render)
-    known = reconstruct(scene) if values is None else values
     if scene.render.render_model == STATIC:
-        return static_gaussians(static_splats(scene, known), scene.masks, camera)
+        return static_gaussians(static_splats(scene), scene.masks, camera)
+    known = reconstruct(scene) if values is None else values
     return gaussians(known, scene.masks, scene.networks, camera, scene.render.distance_unit)
 
 
 # SPEC 9.4
-def static_splats(scene: Scene, values: Reconstruction | None = None) -> Splats:
+def static_splats(scene: Scene) -> Splats:
     """Returns the Gaussians of a static scene, exactly as it decodes, in the order of anchors and offsets.
 
-    values: those of the scene, if known. Raises RenderModelError for another scene.
+    Raises RenderModelError for another scene.
     """
     check_static(scene.render)
-    numbers = splat_of(scene, values)
-    outputs = numbers.shape[1] - HARMONICS.start
-    coefficients = numbers[:, HARMONICS].reshape(len(numbers), outputs // 3, 3)
-    parts = (
-        *(numbers[:, MEAN], coefficients[:, 0], coefficients[:, 1:]),
-        *(numbers[:, LOGIT], numbers[:, LENGTHS], numbers[:, QUATERNION]),
-    )
-    return Splats(*map(np.ascontiguousarray, parts))
+    n, widths = np.count_nonzero(scene.masks), (3, 3, 4, 1, scene.dimensions.colour_outputs)
+    mean, scale, quaternion, logit, harmonic = arrays = [np.empty((n, width), np.float32) for width in widths]
+    splat_to(scene, arrays)
+    coefficients = harmonic.reshape(n, widths[-1] // 3, 3)
+    return Splats(mean, coefficients[:, 0], coefficients[:, 1:], logit[:, 0], scale, quaternion)
 
 
 @np.errstate(over="ignore", invalid="ignore")

@@ -74,7 +74,7 @@ class View:
         self.networks = {name: scene.networks[name] for name in RENDERING}
         self.splats = None
         if isinstance(scene, Scene) and self.info.render_model == STATIC:
-            self.splats = static_splats(scene, self.values)
+            self.splats = static_splats(scene)
 
     def gaussians(self, camera: Camera) -> Gaussians:
         """Returns the Gaussians for a camera (SPEC 14.3, 14.6)."""

@@ -3,6 +3,8 @@
 import { RENDERING } from "./container.js";
 import { power } from "./numbers.js";
 
+// The only kind of vectors, and a status.
+const VARIANT = 0;
 const NO_MEMORY = -1;
 // The end of the address space.
 const MEMORY_MAX = 2 ** 32 - 1;
@@ -221,7 +223,7 @@ class Kernel {
   makeSplatter({ header, features }, weight, bias, exponent) {
     const { render_width: width, offset_count: offsets, colour_outputs: colours } = header;
     const given = [weight, bias, exponent].map((array) => this.put(array));
-    return this.#made("makeSplatter", [features, width, offsets, colours, ...given], given);
+    return this.#made("makeSplatter", [VARIANT, features, width, offsets, colours, ...given], given);
   }
 
   // SPEC 9.4: returns the Gaussians of anchors, one array for each width, the numbers of a Gaussian in it. arrays: as
@@ -229,8 +231,8 @@ class Kernel {
   splat(splatter, count, arrays, kept, widths) {
     const places = arrays.map((array, i) => this.keepCopy(`anchors ${i}`, array));
     const to = widths.map((width, i) => this.keep(`splat ${i}`, 4 * width * kept));
-    // Rows of the arrays have no gaps: their stride is 0.
-    known(this.run.splat(splatter, count, ...places, kept, 0, ...to));
+    // The arrays have no symbols, so that there are no steps. Their rows have no gaps, so that their stride is 0.
+    known(this.run.splat(splatter, count, ...places, 0, 0, kept, 0, ...to, 1));
     return widths.map((width, i) => this.view(Float32Array, to[i], width * kept));
   }
 

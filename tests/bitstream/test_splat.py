@@ -30,6 +30,7 @@ def test_integers_and_float32_give_the_same_gaussians(exact_float: bool) -> None
         values = reconstruction.reconstruct(scene)
         floats = splat.splat(chosen, *vars(values).values(), scene.masks)
         assert floats.tobytes() == reconstruction.gaussians(scene, values).tobytes()
+        assert floats.tobytes() == reconstruction.gaussians(scene).tobytes()
         assert floats.shape == (scene.masks.sum(), 11 + scene.dimensions.colour_outputs)
         assert np.isfinite(floats).all()
         assert not np.signbit(floats[:, splat.MEAN][floats[:, splat.MEAN] == 0]).any()

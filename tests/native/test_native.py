@@ -478,18 +478,22 @@ EXTREME = [0.0, -0.0, 1e-45, -1e30, 3e38, -3e38, np.inf, -np.inf, np.nan]
 def places(*arrays):
     return [array.ctypes.data for array in arrays]
 
-def networks(inputs, width, k, colours):
+def networks(variant, inputs, width, k, colours):
+    # Many weights are 0, so that pairs of inputs are left out, and units.
+    dense = rng.choice([0.02, 0.2, 1])
     def layer(outputs, own):
-        return rng.integers(-100, 100, (outputs, own)), rng.integers(-9999, 9999, outputs), rng.integers(0, 12, outputs)
+        weight = rng.integers(-100, 100, (outputs, own)) * (rng.random((outputs, own)) < dense)
+        return weight, rng.integers(-9999, 9999, outputs), rng.integers(0, 12, outputs)
     layers = [layer(*shape) for n in (1, 7, colours) for shape in ((width, inputs), (n * k, width))]
     flat = [np.concatenate([part.ravel() for part in parts]) for parts in zip(*layers)]
     joined = [part.astype(kind) for part, kind in zip(flat, ("i2", "i4", "u1"))]
-    return code.kernel_splatter_new(inputs, width, k, colours, *places(*joined)), layers
+    return code.kernel_splatter_new(variant, inputs, width, k, colours, *places(*joined)), layers
 
 for sizes in ((0, 7, 3, 3), (129, 7, 3, 3), (5, 0, 3, 3), (5, 129, 3, 3), (5, 7, 0, 3), (5, 7, 17, 3), (5, 7, 3, 49)):
-    assert not networks(*sizes)[0]
-for sizes, n in itertools.product(((5, 7, 3, 12), (1, 1, 1, 3), (50, 128, 16, 48), (128, 9, 10, 27)), (0, 1, 5)):
-    made, layers = networks(*sizes)
+    assert not networks(0, *sizes)[0]
+SIZES = (5, 7, 3, 12), (1, 1, 1, 3), (50, 128, 16, 48), (128, 9, 10, 27), (35, 114, 1, 27)
+for (variant, _), sizes, n in itertools.product(library.variants(code), SIZES, (0, 1, 150, 2100)):
+    made, layers = networks(variant, *sizes)
     inputs, _, k, colours = sizes
     columns = (3, 3, 4, 1, colours)
     masks = rng.random((n, k)) < 0.6
@@ -502,9 +506,10 @@ for sizes, n in itertools.product(((5, 7, 3, 12), (1, 1, 1, 3), (50, 128, 16, 48
         for room in {kept, max(kept - 1, 0)}:
             rows = np.empty((room, 11 + colours), "f4")
             apart = [np.empty((room, width), "f4") for width in columns]
-            given = [made, n, *places(values[0], masks, *values[1:]), room]
+            given = [made, n, *places(values[0], masks, *values[1:]), None, None, room]
             starts = [rows.ctypes.data + 4 * at for at in (0, 3, 6, 10, 11)]
-            counts = {code.kernel_splat(*given, 11 + colours, *starts), code.kernel_splat(*given, 0, *places(*apart))}
+            to = (11 + colours, *starts, 1), (0, *places(*apart), 2)
+            counts = {code.kernel_splat(*given, *own) for own in to}
             assert counts == {kept if room == kept else library.REFUSED}
             if room == kept:
                 assert np.hstack(apart).tobytes() == rows.tobytes()
