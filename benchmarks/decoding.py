@@ -18,8 +18,9 @@ from refcodec.bitstream.codec import parse
 from refcodec.bitstream.dimensions import STATIC
 from refcodec.bitstream.errors import BitstreamError
 from refcodec.bitstream.reader import Reader
-from refcodec.bitstream.reconstruction import digest, gaussians, reconstruct
+from refcodec.bitstream.reconstruction import digest, reconstruct
 from refcodec.bitstream.source import Arriving
+from refcodec.rendering.gaussians import static_splats
 
 # Bytes of a block of a streamed file.
 BLOCK = 1000
@@ -30,13 +31,10 @@ def whole(path: Path) -> dict[str, Any]:
     data, start = path.read_bytes(), time.process_time()
     scene = parse(data).scene
     symbols = time.process_time()
-    values = reconstruct(scene)
-    parts = {"symbols": symbols - start, "values": time.process_time() - symbols}
-    if scene.render.render_model == STATIC:
-        before = time.process_time()
-        gaussians(scene, values)
-        parts["Gaussians"] = time.process_time() - before
-    return {"parts": parts, "count": int(scene.masks.sum())}
+    static = scene.render.render_model == STATIC
+    made = static_splats(scene) if static else reconstruct(scene)
+    parts = {"symbols": symbols - start, "Gaussians" if static else "values": time.process_time() - symbols}
+    return {"parts": parts, "count": int(scene.masks.sum()), "arrays": len(vars(made))}
 
 
 def with_digest(path: Path) -> dict[str, Any]:
