@@ -94,8 +94,11 @@ ODD = 0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9
 AROUND, DISTANCES = [np.array(step) for step in sorted(np.ndindex(2, 2, 2), key=sum)[1:]], (1, -1, 2, -2, 3, -3)
 # The entropy model: steps of training, and what differs from a fit of longer training.
 STEPS, BATCH, LEARNING_RATE, PLANE_PERIOD = 600, 2048, 0.02, 8
-# From so many anchors on, layers cost less than 0.3 % bytes (own measurement).
-LAYERED = 100_000
+# The most hidden units. A million Gaussians take 0.5 % more bytes than by 100, and a fifth less time of decoding.
+WIDTH = 48
+# Scenes of so many anchors have layers, and at least so many lanes of attributes (as a base-2 logarithm): both cost
+# them less than 0.3 % bytes (own measurement).
+LARGE, LANES = 100_000, 5
 # Bits by which its weights are coarser than its integers. They save 0.6 to 1 % of a file (own measurement).
 COARSER = 3
 # Cameras around the Gaussians that measure, and the sides of their images in pixels.
@@ -439,7 +442,7 @@ def converted(
     grid, networks = symbols.grid, symbols.networks
     del symbols, scalings, features, offsets
     static, shown = replace(render, render_model=STATIC), tuple(spread_cameras(cameras[TRAIN], stated))
-    entropy = EntropySettings(slices=_slices(count))
+    entropy = EntropySettings(slices=_slices(count), width=WIDTH)
     learning = FitSettings(
         steps=steps, batch=BATCH, network_learning_rate=LEARNING_RATE, plane_period=PLANE_PERIOD, entropy=entropy
     )
@@ -474,7 +477,8 @@ def _packed(scene: Scene) -> Scene:
     Scales for these rendering networks are smaller than the root of the mean square (SPEC B.5): their few other weights
     are escapes.
     """
-    layers = coarse_layers(scene) if scene.anchor_count >= LAYERED else None
+    large = scene.anchor_count >= LARGE
+    layers = coarse_layers(scene) if large else None
     scene = packed(replace(scene, networks=_coarser(scene.networks)), None, None, layers)
     assert scene.weight_scales is not None
     scales = scene.weight_scales.copy()
@@ -482,4 +486,5 @@ def _packed(scene: Scene) -> Scene:
         network, _, layer = name.partition(".")
         if network in RENDERING and (scene.networks[network][int(layer)][0] == 0).mean() > SPARSE:
             scales[number, 1] = 0
-    return replace(scene, weight_scales=scales)
+    lanes = replace(scene.lanes, attribute=max(scene.lanes.attribute, LANES if large else 0))
+    return replace(scene, weight_scales=scales, lanes=lanes)

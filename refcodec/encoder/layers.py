@@ -28,14 +28,13 @@ def coarse_layers(scene: Scene) -> Int64:
     networks = derive_rendering(scene.networks) if static else None
     for block in chunk_ranges(scene.anchor_count, BLOCK):
         part = take_anchors(scene, slice(block.start, block.stop))
-        values = reconstruct(part)
         if static:
-            numbers = gaussians(part, values, networks).astype(np.float64)
+            numbers = gaussians(part, rendering=networks).astype(np.float64)
             longest = np.sort(numbers[:, LENGTHS], axis=1)[:, 1:].sum(axis=1)
             each = np.exp(longest - np.logaddexp(0, -numbers[:, LOGIT].reshape(-1)))
             own = np.bincount(np.nonzero(part.masks)[0], each, len(part.masks))
         else:
-            own = np.exp(np.sort(values.scalings[:, 3:].astype(np.float64), axis=1)[:, 1:].sum(axis=1))
+            own = np.exp(np.sort(reconstruct(part).scalings[:, 3:].astype(np.float64), axis=1)[:, 1:].sum(axis=1))
             own *= part.masks.sum(axis=1)
         area[block.start : block.stop] = own
     rank = np.empty(len(area), np.int64)

@@ -127,7 +127,7 @@ def fit_dimensions(cloud: AnchorCloud, settings: EntropySettings, render_width: 
     count, features = cloud.features.shape
     slices = choose_slices(features, settings.slices) if features else ()
     planes, inputs = settings.channels > 0, settings.channels + settings.frequencies > 0
-    hidden = (choose_width(count),) * settings.layers
+    hidden = (min(choose_width(count), settings.width),) * settings.layers
     d = Dimensions(
         offset_count=cloud.masks.shape[1],
         slices=slices,
@@ -269,7 +269,8 @@ class _Fitting:
         hyperprior = VectorMatrix(d.plane_channels, d.frequency_count)
         start = torch.Generator().manual_seed(settings.seed)
         self.contexts = hyperprior.contexts(scene.frame, scene.positions[rows], d.plane_size)
-        sizes, columns = (d.plane_size, choose_width(self.total)), Columns(d.slices, d.offset_count)
+        sizes = d.plane_size, min(choose_width(self.total), settings.entropy.width)
+        columns = Columns(d.slices, d.offset_count)
         statistics = _statistics(scene.masks[rows], self.symbols.numpy())
         self.model = RateModel(hyperprior, *sizes, *statistics, start, settings.entropy, scene.carm_shift, columns)
         groups = [{"params": [self.model.latents]}, {"params": self.model.coding_parameters()}]

@@ -279,6 +279,7 @@ class EntropySettings:
         low=1,
         high=64,
     )
+    width: int = setting(100, "most hidden units of F_h and CARM; fewer are decoded faster", PRO, low=16, high=100)
     planes: float = setting(0.03, "deviation of the planes at first", unit="latents, of 16 plane symbols each", low=0)
     gain: float = setting(0.1, "spread of a last layer's first weights, times the root of its inputs", low=0)
     bias: float = setting(0.2, "largest first bias of a hidden unit; none is negative", low=0)
