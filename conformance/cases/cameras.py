@@ -43,7 +43,7 @@ def expected(data: bytes, camera: dict[str, Any], text: dict[str, Any] | None = 
     values, centre = reconstruct(scene), read_camera(json.dumps(camera)).centre.tolist()
     if scene.render.render_model == STATIC:
         places = np.argwhere(scene.masks).tolist()
-        numbers = splat_of(scene, values).astype(np.float64).tolist()
+        numbers = splat_of(scene).astype(np.float64).tolist()
         seen = [text["STATIC_GAUSSIAN"](each, centre) for each in numbers]
         return _document([_row(n, k, each) for (n, k), each in zip(places, seen, strict=True)])
     networks = {name: [(w.tolist(), b.tolist()) for w, b in scene.networks[name]] for name in RENDERING}

@@ -312,7 +312,7 @@ def reconstruct(
     Raises BitstreamError, BoundPassedError and OSError as `decode`.
     """
     from ..bitstream.codec import parse
-    from ..bitstream.reconstruction import DIGEST_MAGIC, canonical_parts, digested
+    from ..bitstream.reconstruction import DIGEST_MAGIC, digested, pieces
     from ..folder.places import COPIES, TRACE_COPIES, check_outputs, progress_bar, read_whole
     from ..inspect.trace import symbol_trace
 
@@ -328,7 +328,6 @@ def reconstruct(
             with progress_bar(words) as show:
                 scene = parse(data, progress=show).scene
         whole = stage.open(Path(output))
-        parts = list(canonical_parts(scene))
-        whole.write(digested(scene, parts))
-        for _, part in parts:
-            whole.write(part)
+        whole.write(digested(scene))
+        for _, piece in pieces(scene):
+            whole.write(piece)

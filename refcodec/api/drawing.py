@@ -34,7 +34,7 @@ def gaussians(file: kinds.Place, camera: kinds.AnyPath, output: kinds.AnyPath, *
         gaussians scene.c3gs camera.json gaussians.json
     """
     from ..bitstream.codec import parse
-    from ..folder.places import check_outputs, progress_bar, read_whole
+    from ..folder.places import SPLAT_COPIES, check_outputs, progress_bar, read_whole
     from ..rendering.camera import CAMERA_MAX, read_camera
     from ..rendering.gaussians import gaussians_document, gaussians_of
 
@@ -45,7 +45,7 @@ def gaussians(file: kinds.Place, camera: kinds.AnyPath, output: kinds.AnyPath, *
     except ValueError as error:
         shown = f"{os.fspath(camera)} is not a camera: {error}"
         raise UsageError(f"{shown}; vectors/README.md describes one") from None
-    data = read_whole(file, words)
+    data = read_whole(file, words, gaussians=SPLAT_COPIES)
     with progress_bar(words) as show:
         visible = gaussians_of(parse(data, progress=show).scene, seen_by)
     write_file(Path(output), json_text.dumps(gaussians_document(visible), separators=(",", ":")).encode())

@@ -130,9 +130,13 @@ class File:
 
     def decode(self) -> Scene:
         """Returns the scene of the whole file. Raises BitstreamError and BoundPassedError."""
+        return self._decoded()
+
+    def _decoded(self, gaussians: int = 0) -> Scene:
+        """As decode. gaussians: copies of a static scene's Gaussians that are held beside it."""
         # A byte behind the end that the header states is enough for the verdict on all of them.
         size = min(self.header.sections[-1].end + 1, self.byte_count)
-        self._limits.check(self.header, copies=1, size=size)
+        self._limits.check(self.header, copies=1, gaussians=gaussians, size=size)
         scene = parse(self._source.read(0, size)).scene
         return Scene(scene, self.sizes)
 
@@ -191,4 +195,4 @@ def splats(file: Place, *, limits: Limits | None = None) -> Splats:
     with open(file, limits=limits) as opened:
         # Nothing is decoded for a scene of another render model.
         check_static(opened.header.render)
-        return opened.decode().splats
+        return opened._decoded(gaussians=1).splats

@@ -22,7 +22,7 @@ from ..encoder.quantise import packed
 from ..files.terminal import note
 from ..folder.georeference import stated_offset
 from ..folder.layout import check_scene_folder
-from ..folder.places import COPIES, check_cloud, progress_bar, read_whole, shown_name
+from ..folder.places import COPIES, SPLAT_COPIES, check_cloud, progress_bar, read_whole, shown_name
 from ..folder.read import read_folder
 from ..folder.uncompressed import Uncompressed, is_uncompressed, read_uncompressed
 from ..rendering.camera import scene_up
@@ -57,7 +57,7 @@ class Shown:
             plain = is_uncompressed(self.folder)
             self.scene = read_uncompressed(self.folder) if plain else read_folder(self.folder)
         else:
-            self.data = read_whole(place, words, copies, program)
+            self.data = read_whole(place, words, copies, program, SPLAT_COPIES)
             parse_container(self.data)
 
     @cached_property

@@ -16,7 +16,7 @@ from .dimensions import STATIC, weight_count, work
 from .directory import DATA, is_critical
 from .header import Header
 from .positions import CELL_LEVELS
-from .splat import HARMONICS
+from .splat import HARMONICS, SPLAT_ANCHORS
 
 # Estimates in bytes, one to two times the measured values: a weight as float32 and as an integer, with its copies; a
 # point of a plane while it is decoded; a value of an anchor that is being decoded; and a value that is held.
@@ -89,6 +89,7 @@ class Limits:
         at_once: int = GROUP_ANCHORS,
         *,
         copies: int = 0,
+        gaussians: int = 0,
         size: int | None = None,
         keep_ancillary: bool = True,
     ) -> None:
@@ -98,6 +99,7 @@ class Limits:
             header: of the file.
             at_once: the anchors that are decoded at the same time.
             copies: of the scene that are held while the file is. 0 for an operation that holds some chunks at a time.
+            gaussians: copies of the Gaussians of a static scene that are held.
             size: the bytes of the file, if it is held. None for those that the header states, if copies are held.
             keep_ancillary: whether ancillary sections are kept.
         """
@@ -110,7 +112,7 @@ class Limits:
             more = (1 + READING) * (header.sections[-1].end if size is None else size)
         else:
             more = section_bytes(header, keep_ancillary) + (size or 0)
-        self.check_memory(memory_needed(header, min(count, at_once), copies * count, more))
+        self.check_memory(memory_needed(header, min(count, at_once), copies * count, more, gaussians * count))
 
     def check_memory(self, needed: int) -> None:
         """Raises BoundPassedError if more bytes of memory are needed, in addition to the program, than allowed."""
@@ -138,11 +140,11 @@ def all_work(header: Header) -> int:
     return work(d, n) + 96 * weight_count(d) + 16 * n * (2 * CELL_LEVELS + d.offset_count)
 
 
-def memory_needed(header: Header, at_once: int, held: int = 0, more: int = 0) -> int:
+def memory_needed(header: Header, at_once: int, held: int = 0, more: int = 0, gaussians: int = 0) -> int:
     """SPEC 13.1: returns an estimate of the bytes of memory that decoding needs in addition to the program.
 
     at_once: the anchors decoded at the same time. held: the anchors of a scene that is kept. more: further bytes, such
-    as those of the file.
+    as those of the file. gaussians: the anchors whose Gaussians are kept, if the scene is static.
     """
     d = header.dimensions
     values = d.attribute_width + d.offset_count
@@ -150,8 +152,9 @@ def memory_needed(header: Header, at_once: int, held: int = 0, more: int = 0) ->
     chunks = header.chunk_count * (CHUNK + (HELD_CHUNK if held else 0))
     anchors = values * (at_once * DECODING + held * HOLDING)
     if header.render.render_model == STATIC:
-        # SPEC 9.4: the Gaussians as float32, and what they are computed from.
-        anchors += 8 * at_once * d.offset_count * (HARMONICS.start + d.colour_outputs)
+        # SPEC 9.4: the Gaussians as float32, those of a block twice.
+        numbers = d.offset_count * (HARMONICS.start + d.colour_outputs)
+        anchors += 4 * numbers * (2 * min(at_once, SPLAT_ANCHORS) + gaussians)
     return weight_count(d) * WEIGHT + planes * PLANE_POINT + chunks + anchors + more
 
 

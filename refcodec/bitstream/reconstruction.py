@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import struct
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import groupby
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -21,7 +23,7 @@ from .dimensions import RENDERING, STATIC, dimension_fields
 from .header import render_fields
 from .positions import position_integers
 from .scene import Scene, take_anchors
-from .splat import COLUMNS, HARMONICS, Rendering, derive_rendering, splat
+from .splat import COLUMNS, HARMONICS, SPLAT_ANCHORS, Rendering, derive_rendering, splat
 from .tables import STEP_SHIFT, step_table
 
 # SPEC 9.3: the first hashed bytes of the digests of a scene and of a chunk, and the parts of the reconstruction.
@@ -29,13 +31,18 @@ DIGEST_MAGIC = b"C3GSREC1"
 CHUNK_MAGIC = b"C3GSCHK1"
 PARTS = ("positions", "masks", "planes", "features", "scalings", "offsets", "weights")
 SPLAT = "splat"
-# Anchors whose Gaussians are computed at once, by all threads.
-SPLAT_ANCHORS = 16384
+# Anchors of a piece of a part that is hashed or written.
+PIECE_ANCHORS = 4096
 
 
 def part_names(render_model: int) -> tuple[str, ...]:
     """SPEC 9.3: returns the names of the reconstruction parts of a scene, in their order."""
     return (*PARTS, SPLAT) if render_model == STATIC else PARTS
+
+
+def anchor_parts(render_model: int) -> tuple[str, ...]:
+    """SPEC 9.3: returns the names of the parts that have anchors, in their order."""
+    return tuple(name for name in part_names(render_model) if name not in ("planes", "weights"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,79 +100,82 @@ def dequantise(
 
 def reconstruct(scene: Scene) -> Reconstruction:
     """SPEC 9.1 and 9.2: returns the float32 values of a scene. Raises UsageError as refcodec.native.library says."""
-    a, used = scene.attributes, kernel()
-    attributes = [dequantise(getattr(a, kind), a.steps[:, i], scene.base_step[i], used) for i, kind in enumerate(KINDS)]
-    return Reconstruction(world_positions(scene), *attributes)
+    return Reconstruction(world_positions(scene), *(attribute_values(scene, i) for i in range(len(KINDS))))
 
 
-def _little(values: NDArray[Any], kind: str) -> bytes:
-    return values.astype(kind).tobytes()
+def attribute_values(scene: Scene, i: int) -> F32:
+    """SPEC 9.2: returns the values of a kind of KINDS, float32 [N, ...]. Raises as reconstruct."""
+    a = scene.attributes
+    return dequantise(getattr(a, KINDS[i]), a.steps[:, i], scene.base_step[i], kernel())
 
 
-def canonical_parts(scene: Scene) -> Iterator[tuple[str, bytes]]:
-    """SPEC 9.3: yields the name and the bytes of each part of the canonical reconstruction."""
-    anchors = anchor_parts(scene, reconstruct(scene))
+def _little(values: NDArray[Any], kind: str) -> bytes | memoryview:
+    """Returns the bytes of an array, without a copy where it has them."""
+    return np.ascontiguousarray(values, kind).reshape(-1).view(np.uint8).data
+
+
+def pieces(scene: Scene, rendering: Rendering | None = None) -> Iterator[tuple[str, bytes | memoryview]]:
+    """SPEC 9.3: yields the name and the bytes of each part of the canonical reconstruction, in order and in pieces.
+
+    Only a piece is held. rendering: as for gaussians.
+    """
     for name in part_names(scene.render.render_model):
         if name == "planes":
             yield name, _little(scene.planes, "<i2")
         elif name == "weights":
             yield name, weight_part(scene)
         else:
-            yield name, anchors[name]
+            yield from ((name, piece) for piece in anchor_pieces(scene, name, rendering))
 
 
-def anchor_parts(scene: Scene, r: Reconstruction, rendering: Rendering | None = None) -> dict[str, bytes]:
-    """SPEC 9.3: returns the bytes of a scene's anchors in each part that has anchors, by name.
+def anchor_pieces(scene: Scene, name: str, rendering: Rendering | None = None) -> Iterator[bytes | memoryview]:
+    """SPEC 9.3: yields the bytes of a part that has anchors, in pieces. rendering: as for gaussians."""
+    if name == SPLAT and rendering is None:
+        rendering = derive_rendering(scene.networks)
+    for first in range(0, scene.anchor_count, PIECE_ANCHORS):
+        some = take_anchors(scene, slice(first, first + PIECE_ANCHORS))
+        if name == "masks":
+            yield _little(some.masks, "u1")
+        elif name == SPLAT:
+            yield _little(gaussians(some, rendering), "<f4")
+        elif name == "positions":
+            yield _little(world_positions(some), "<f4")
+        else:
+            yield _little(attribute_values(some, KINDS.index(name)), "<f4")
 
-    r: their values. rendering: as for gaussians.
-    """
-    parts = {
-        "positions": _little(r.positions, "<f4"),
-        "masks": _little(scene.masks, "u1"),
-        **{kind: _little(getattr(r, kind), "<f4") for kind in KINDS},
-    }
-    if scene.render.render_model == STATIC:
-        parts[SPLAT] = _little(gaussians(scene, r, rendering), "<f4")
-    return parts
+
+def canonical_parts(scene: Scene) -> Iterator[tuple[str, bytes]]:
+    """SPEC 9.3: yields the name and the bytes of each part of the canonical reconstruction."""
+    for name, own in groupby(pieces(scene), key=itemgetter(0)):
+        yield name, b"".join(piece for _, piece in own)
 
 
-def gaussians(scene: Scene, r: Reconstruction | None = None, rendering: Rendering | None = None) -> F32:
+def gaussians(scene: Scene, rendering: Rendering | None = None) -> F32:
     """SPEC 9.4: returns the Gaussians of a static scene, float32 [kept offsets, 11 + colour_outputs], see splat.py.
 
-    r: the values of the scene, if known. rendering: the result of derive_rendering, if known.
+    rendering: the result of derive_rendering, if known.
     """
     drawn = np.empty((np.count_nonzero(scene.masks), HARMONICS.start + scene.dimensions.colour_outputs), np.float32)
-    splat_to(scene, [drawn[:, own] for own in COLUMNS], r, rendering)
+    splat_to(scene, [drawn[:, own] for own in COLUMNS], rendering)
     return drawn
 
 
-def splat_to(
-    scene: Scene, to: Sequence[F32], r: Reconstruction | None = None, rendering: Rendering | None = None
-) -> None:
+def splat_to(scene: Scene, to: Sequence[F32], rendering: Rendering | None = None) -> None:
     """SPEC 9.4: sets the Gaussians of a static scene. With the kernel, no values of anchors are kept.
 
-    to: float32 [kept offsets, n] for each of COLUMNS: arrays, or columns of one. The rest is as for gaussians.
+    to: float32 [kept offsets, n] for each of COLUMNS: arrays, or columns of one. rendering: as for gaussians.
     """
     networks, used = derive_rendering(scene.networks) if rendering is None else rendering, kernel()
-    if used is None and r is None:
-        r = reconstruct(scene)
-
-    def blocks() -> Iterator[list[NDArray[Any]]]:
-        for first in range(0, scene.anchor_count, SPLAT_ANCHORS):
-            rows = slice(first, first + SPLAT_ANCHORS)
-            if r is None:
-                some = take_anchors(scene, rows)
-                yield [world_positions(some), some.masks, *vars(some.attributes).values()]
-            else:
-                positions, *others = (values[rows] for values in vars(r).values())
-                yield [positions, scene.masks[rows], *others]
-
+    rows = range(0, scene.anchor_count, SPLAT_ANCHORS)
+    parts = (take_anchors(scene, slice(first, first + SPLAT_ANCHORS)) for first in rows)
     if used is not None:
         layers = [(each.weight, each.bias, each.exponent) for name in RENDERING for each in networks[name].layers]
-        return splats(used, layers, blocks(), to, None if r else np.stack([*map(step_values, scene.base_step)]))
+        blocks = ([world_positions(some), some.masks, *vars(some.attributes).values()] for some in parts)
+        return splats(used, layers, blocks, to, np.stack([*map(step_values, scene.base_step)]))
     first = 0
-    for positions, masks, features, scalings, offsets in blocks():
-        drawn = splat(networks, positions, features, scalings, offsets, masks)
+    for some in parts:
+        r = reconstruct(some)
+        drawn = splat(networks, r.positions, r.features, r.scalings, r.offsets, some.masks)
         for array, own in zip(to, COLUMNS, strict=True):
             array[first : first + len(drawn)] = drawn[:, own]
         first += len(drawn)
@@ -189,13 +199,12 @@ def canonical_head(scene: Scene, anchors: int | None = None) -> bytes:
     return DIGEST_MAGIC + struct.pack("<I", count) + render + dimensions
 
 
-def digested(scene: Scene, parts: Iterable[tuple[str, bytes]] | None = None) -> bytes:
-    """SPEC 9.3: returns the hashed bytes of a scene's digest: its head, and the parts' digests.
-
-    parts: the result of canonical_parts, if known.
-    """
-    every = canonical_parts(scene) if parts is None else parts
-    return canonical_head(scene) + b"".join(hashlib.sha256(data).digest() for _, data in every)
+def digested(scene: Scene) -> bytes:
+    """SPEC 9.3: returns the hashed bytes of a scene's digest: its head, and the parts' digests."""
+    own = {name: hashlib.sha256() for name in part_names(scene.render.render_model)}
+    for name, piece in pieces(scene):
+        own[name].update(piece)
+    return canonical_head(scene) + b"".join(part.digest() for part in own.values())
 
 
 def digest(scene: Scene) -> tuple[str, dict[str, str]]:
@@ -207,15 +216,13 @@ def digest(scene: Scene) -> tuple[str, dict[str, str]]:
     return hashlib.sha256(data).hexdigest(), parts
 
 
-def chunk_digest(scene: Scene, parts: Mapping[str, bytes] | None = None) -> str:
-    """SPEC 9.3: returns the digest of a chunk, in hexadecimal.
-
-    scene: with only the chunk's anchors. parts: the result of anchor_parts or of StreamDigest.add, if known.
-    """
+def chunk_digest(scene: Scene) -> str:
+    """SPEC 9.3: returns the digest of a chunk, in hexadecimal. scene: with only the chunk's anchors."""
     d = scene.dimensions
     whole = hashlib.sha256(CHUNK_MAGIC + struct.pack("<3I", scene.anchor_count, d.offset_count, d.features))
-    for part in (anchor_parts(scene, reconstruct(scene)) if parts is None else parts).values():
-        whole.update(part)
+    for name in anchor_parts(scene.render.render_model):
+        for piece in anchor_pieces(scene, name):
+            whole.update(piece)
     return whole.hexdigest()
 
 
@@ -227,19 +234,15 @@ class StreamDigest:
         self._parts = {name: hashlib.sha256() for name in (*PARTS, SPLAT)}
         self._rendering: Rendering | None = None
 
-    def add(self, scene: Scene, values: Reconstruction | None = None) -> dict[str, bytes]:
-        """Adds a chunk, and returns its parts (anchor_parts).
-
-        scene: with only the chunk's anchors. values: the chunk's values, if known.
-        """
+    def add(self, scene: Scene) -> None:
+        """Adds a chunk. scene: with only the chunk's anchors."""
         # All chunks have the same networks. Small chunks are decoded faster than these are derived.
         if scene.render.render_model == STATIC and self._rendering is None:
             self._rendering = derive_rendering(scene.networks)
         self._count += scene.anchor_count
-        parts = anchor_parts(scene, values or reconstruct(scene), self._rendering)
-        for name, data in parts.items():
-            self._parts[name].update(data)
-        return parts
+        for name in anchor_parts(scene.render.render_model):
+            for piece in anchor_pieces(scene, name, self._rendering):
+                self._parts[name].update(piece)
 
     def finish(self, scene: Scene) -> str:
         """Returns the digest, in hexadecimal. scene: with the planes and weights; its anchors are not read."""

@@ -18,6 +18,8 @@ EXP2 = (1073741824, 744260848, 257945537, 59571654, 10398739, 1330132, 234908)
 LOG2_E = 1549082005
 # SPEC 9.4: the numbers of a Gaussian. LENGTHS are the logarithms of axis lengths, LOGIT is that of the opacity.
 MEAN, LENGTHS, QUATERNION, LOGIT, HARMONICS = slice(0, 3), slice(3, 6), slice(6, 10), 10, slice(11, None)
+# Anchors whose Gaussians are computed at once, by all threads.
+SPLAT_ANCHORS = 16384
 # The order of the kernel.
 COLUMNS = MEAN, LENGTHS, QUATERNION, slice(LOGIT, LOGIT + 1), HARMONICS
 

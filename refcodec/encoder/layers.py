@@ -29,7 +29,7 @@ def coarse_layers(scene: Scene) -> Int64:
     for block in chunk_ranges(scene.anchor_count, BLOCK):
         part = take_anchors(scene, slice(block.start, block.stop))
         if static:
-            numbers = gaussians(part, rendering=networks).astype(np.float64)
+            numbers = gaussians(part, networks).astype(np.float64)
             longest = np.sort(numbers[:, LENGTHS], axis=1)[:, 1:].sum(axis=1)
             each = np.exp(longest - np.logaddexp(0, -numbers[:, LOGIT].reshape(-1)))
             own = np.bincount(np.nonzero(part.masks)[0], each, len(part.masks))

@@ -173,11 +173,11 @@ def _write_files(
         coded = RowsFile(arrays, {name: (a.dtype, a.shape[1:]) for name, a in _coded(head).items()}, count)
         for block in blocks:
             values = reconstruct(block)
-            parts = digest.add(block, values)
+            digest.add(block)
             cloud.add(values, block.masks)
             coded.add(_coded(block))
             if numbers is not None:
-                chunks.append(chunk_digest(block, parts))
+                chunks.append(chunk_digest(block))
     scene = whole()
     write_networks(path / NETWORKS_FILE, scene.networks)
     write_arrays(path / PLANES_FILE, {"planes": scene.planes})

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import re
+import shutil
 import threading
 import tracemalloc
 from collections.abc import Callable
@@ -17,6 +19,7 @@ from cli_inputs import DECODING, EXAMPLE, VECTORS, Call, lacking
 from random_scenes import random_scene
 
 import refcodec
+from benchmarks.large import made_static
 from benchmarks.resident import measured
 from conformance.cases.checksums import lengthened
 from conformance.cases.scenes import MAIN_DIMENSIONS
@@ -190,6 +193,31 @@ def test_the_estimate_is_one_to_two_times_what_is_measured(tmp_path: Path) -> No
         estimate = PROGRAM + memory_needed(header, 65536, more=section_bytes(header, True))
         assert status == 0
         assert most < estimate < 2 * most, command
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="memory is read from /proc")
+@pytest.mark.slow
+@pytest.mark.parametrize("static", [False, True])
+def test_what_a_command_takes_is_within_what_it_states(static: bool, place: Path, call: Call) -> None:
+    """The memory that --max-memory compares. Static scenes have Gaussians, which are most of what is held."""
+    scene = codec.parse((VECTORS / "valid" / "trained-snowmiku.c3gs").read_bytes()).scene
+    scene = replace(made_static(scene, 3) if static else scene, position_model=None)
+    file = place / "many.c3gs"
+    file.write_bytes(
+        codec.emit(take_anchors(scene, np.resize(np.arange(scene.anchor_count), 20_000 if static else 8_000)))
+    )
+    splats = [f"decode FILE --splat new.{suffix}" for suffix in ("ply", "spz", "sog", "glb")] * static
+    for command in (each for each in [*DECODING, *splats] if not lacking(each)):
+        line = command.replace("FILE", str(file)).split()
+        _, _, refused = call(*line, "--max-memory", "64M")
+        stated = re.search(r"may take (\d+) bytes", refused)
+        assert stated, command
+        inside = [str(place / word) if word.startswith("new") or (place / word).exists() else word for word in line[1:]]
+        status, most = measured([line[0], *inside], {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"})
+        assert status == 0, command
+        assert most < int(stated[1]), command
+        for made in place.glob("new*"):
+            shutil.rmtree(made) if made.is_dir() else made.unlink()
 
 
 # --- from Python ------------------------------------------------------------------------------------------------------

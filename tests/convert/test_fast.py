@@ -17,7 +17,7 @@ from refcodec.bitstream.codec import emit, parse  # noqa: E402
 from refcodec.bitstream.header import RenderInfo  # noqa: E402
 from refcodec.bitstream.networks import IntNetwork, derive_layer  # noqa: E402
 from refcodec.bitstream.positions import chunk_codes  # noqa: E402
-from refcodec.bitstream.reconstruction import gaussians, reconstruct  # noqa: E402
+from refcodec.bitstream.reconstruction import gaussians  # noqa: E402
 from refcodec.bitstream.splat import OUTPUT_BITS  # noqa: E402
 from refcodec.cli.main import main  # noqa: E402
 from refcodec.convert.drawing import drawn, tensors  # noqa: E402
@@ -84,7 +84,7 @@ def test_a_scene_is_as_good_as_wanted(degree: int) -> None:
     scene = result.scene
     assert scene.position_model is not None
     assert chunk_codes(scene.positions, scene.position_model.cell_shift) is not None
-    assert gaussians(scene, reconstruct(scene)).shape == (scene.anchor_count, 11 + 3 * (degree + 1) ** 2)
+    assert gaussians(scene).shape == (scene.anchor_count, 11 + 3 * (degree + 1) ** 2)
     # What the decoder draws is what the search has judged.
     errors = []
     for camera in cameras["test"]:
