@@ -135,9 +135,12 @@ class _OfURL(Limits):
 
 
 def all_work(header: Header) -> int:
-    """SPEC 13.1: returns the most units of work for decoding, including weights, positions and masks."""
+    """SPEC 13.1: returns the most units of work for decoding, including weights, positions, masks and Gaussians."""
     d, n = header.dimensions, header.anchor_count
-    return work(d, n) + 96 * weight_count(d) + 16 * n * (2 * CELL_LEVELS + d.offset_count)
+    symbols = 2 * CELL_LEVELS + d.offset_count
+    if header.render.render_model == STATIC:
+        symbols += d.offset_count * (HARMONICS.start + d.colour_outputs)
+    return work(d, n) + 96 * weight_count(d) + 16 * n * symbols
 
 
 def memory_needed(header: Header, at_once: int, held: int = 0, more: int = 0, gaussians: int = 0) -> int:

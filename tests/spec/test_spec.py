@@ -288,6 +288,8 @@ def test_the_figures_of_security() -> None:
     times = [f"{s:.0f} s" if s < 600 else f"{s / 60:.0f} minutes" for s in seconds]
     more = 96 * names["W"] + (2 * 16 + 16) * 16 * anchors
     assert f"take at most {', '.join(times[:-1])} and {times[-1]}, and up to {more / 1e9:.0f} s more" in manual
+    splat = 16 * anchors * d.offset_count * (11 + d.colour_outputs) / 1e9 / 60
+    assert f"Gaussians of a static scene take up to {splat:.0f} minutes more" in manual
     assert f"A file of {anchors / 16 / 1e6 + 44 * anchors / chunk / 1e6:.1f} MB" in text
     bound = next(bound for quantity, _, bound, *_ in rows(section("7.11")) if quantity == "work")
     assert value(bound) == work(replace(d, view_inputs=0), anchors)
