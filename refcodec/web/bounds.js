@@ -24,15 +24,20 @@ const STATIC_KEPT = 1;
 export function checkBounds({ maxAnchors = Infinity, maxMemory = Infinity }, header, held = 0, more = 0) {
   const h = header;
   if (h.anchor_count > maxAnchors) throw new BoundPassedError("anchors", h.anchor_count, maxAnchors);
+  const chunks = h.chunk_count * (CHUNK + (held ? HELD_CHUNK : 0));
+  const anchors = held * anchorWidth(h) * HOLDING;
+  checkBytes({ maxMemory }, decoderBytes(h) + chunks + anchors + more);
+}
+
+const anchorWidth = (h) => attributeChannels(h) + h.offset_count;
+
+// The memory of a decoder of chunks.
+export function decoderBytes(h) {
   const planes = 5 * h.plane_channels * h.plane_size ** 2;
-  const anchor = attributeChannels(h) + h.offset_count;
   // 9.4: the Gaussians of one chunk, as arrays and in the kernel
   const splat = isStatic(h) ? 8 * h.offset_count * splatWidth(h) : 0;
   const atOnce = Math.min(h.anchor_count, h.chunk_size);
-  const chunks = h.chunk_count * (CHUNK + (held ? HELD_CHUNK : 0));
-  const anchors = atOnce * (anchor * DECODING + splat) + held * anchor * HOLDING;
-  const own = weightCount(h) * WEIGHT + planes * PLANE_POINT + chunks + anchors;
-  checkBytes({ maxMemory }, own + more);
+  return weightCount(h) * WEIGHT + planes * PLANE_POINT + atOnce * (anchorWidth(h) * DECODING + splat);
 }
 
 // The memory of Gaussians for some anchors and their kept offsets.

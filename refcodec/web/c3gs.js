@@ -53,7 +53,7 @@ class Scene {
   // 10.1, SECTIONS. all: whether ancillary sections are checked too.
   async open(all) {
     const body = this.header.sections.find(({ type }) => type === "DATA");
-    let frame, weights;
+    let frame, weights, index;
     for (const section of this.header.sections) {
       const { type, mode, start } = section;
       if (section === body) break;
@@ -66,10 +66,19 @@ class Scene {
       if (type === "FRAM") frame = parseFrame(data, start);
       else if (type === "WGTS") weights = parseWeights(data, start, mode, this.header, this.#kernel);
       else if (type === "PLNS") this.planes = parsePlanes(data, start, this.header, weights, this.#kernel);
-      else this.#index = parseIndex(data, start, mode, this.header, body);
+      // A copy, since another worker may get it, but not the whole file.
+      else index = parseIndex(data.slice(), start, mode, this.header, body);
     }
+    return this.prepare({ header: this.header, frame, weights, planes: this.planes, index });
+  }
+
+  // parsed: the contents of the sections before the chunks, also for `open`.
+  prepare(parsed) {
+    const { frame, weights, planes, index } = parsed;
+    Object.assign(this, { parsed, planes });
+    this.#index = index;
     this.layers = weights.layers.map(({ network, outputs, inputs, values }) => ({ network, outputs, inputs, values }));
-    this.#kernel.makeScene(this.header, weights, { ...this.#index, frame, planes: this.planes });
+    this.#kernel.makeScene(this.header, weights, { ...index, frame, planes });
     if (isStatic(this.header)) this.#splatter = new Splatter(this, this.#kernel, weights);
     return this;
   }
@@ -120,27 +129,34 @@ class Scene {
 
   async chunk(number) {
     for (const entry of entries(this.#index)) {
-      if (entry.number === number) return this.#decode(entry);
+      if (entry.number === number) return this.decodeRead(await this.#read(entry));
     }
     throw new RangeError(`there is no chunk ${number}: the file has ${this.header.chunk_count}`);
   }
 
   async *chunks() {
-    for (const entry of entries(this.#index)) yield this.#decode(entry);
+    for (const entry of entries(this.#index)) {
+      const chunk = await this.#read(entry);
+      yield this.#options.isRead ? chunk : this.decodeRead(chunk);
+    }
   }
 
-  // 10.1, CHUNKS for one chunk, and 9.1 and 9.2
-  async #decode(entry) {
+  // 10.1, CHUNKS for one chunk, up to its parts
+  #read(entry) {
     checkBytes(this.#options, entry.length);
-    const chunk = await readChunk(this.#source, entry, this.#index);
+    return readChunk(this.#source, entry, this.#index);
+  }
+
+  // The rest of it, and 9.1 and 9.2
+  decodeRead(chunk) {
     const [h, kernel] = [this.header, this.#kernel];
     const { status, part, own } = kernel.decodeChunk(h, chunk);
     if (status !== 0) throw chunkError(status, part, chunk);
-    const n = entry.anchors;
+    const { number, first, anchors: n } = chunk;
     // Copies from the kernel's memory.
     const copied = (name, view) => {
       if (this.#whole === undefined) return view.slice();
-      const at = entry.first * (view.length / n);
+      const at = first * (view.length / n);
       this.#whole[name].set(view, at);
       return this.#whole[name].subarray(at, at + view.length);
     };
@@ -150,8 +166,8 @@ class Scene {
     });
     return {
       scene: this,
-      number: entry.number,
-      first: entry.first,
+      number,
+      first,
       count: n,
       lengths: Object.fromEntries(CHUNK_PARTS.map((name, i) => [name, chunk.lengths[i]])),
       positions: copied("positions", kernel.worldPositions(own.positions, n, h)),
@@ -182,19 +198,22 @@ async function begin(source, options, all, holds = false) {
   return new Scene(source, await loadKernel(options.wasm), options, header).open(all);
 }
 
-export async function open(input, options = {}) {
+// parsed: of a scene in another worker, in place of an input, to decode the chunks which that one reads.
+export async function open(input, { parsed, ...options } = {}) {
+  if (parsed) return new Scene(undefined, await loadKernel(options.wasm), options, parsed.header).prepare(parsed);
   return begin(sourceOf(input), options, false);
 }
 
-export function decode(input, options = {}) {
-  return run(input, options);
+// isRead: whether chunks are only read, for decodeRead in another worker.
+export function decode(input, { begun, ...options } = {}) {
+  return run(input, options, begun);
 }
 
-// begun: called with the scene before its chunks are decoded, if the caller keeps all of them.
+// begun: called with the scene before its chunks are decoded.
 async function* run(input, options, begun) {
   const source = sourceOf(input);
   try {
-    const scene = await begin(source, options, true, begun !== undefined);
+    const scene = await begin(source, options, true, begun !== undefined && !options.isRead);
     begun?.(scene);
     yield* scene.chunks();
     await scene.close();
