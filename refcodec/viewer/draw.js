@@ -167,7 +167,7 @@ export class Drawing {
     gl.texStorage2D(gl.TEXTURE_2D, 1, gl.RGBA32UI, TEXELS * WIDTH, this.height);
     if (this.layers > 0) {
       this.harmonics = texture(gl, gl.NEAREST, gl.TEXTURE_2D_ARRAY);
-      gl.texStorage3D(gl.TEXTURE_2D_ARRAY, 1, gl.RGBA32F, WIDTH, this.height, this.layers);
+      gl.texStorage3D(gl.TEXTURE_2D_ARRAY, 1, gl.RGBA16F, WIDTH, this.height, this.layers);
       this.colours = target(gl, gl.RG32UI, WIDTH, this.height);
     }
     if (gl.getError() === gl.OUT_OF_MEMORY) throw new RangeError("The device has no memory for the scene");
@@ -182,22 +182,42 @@ export class Drawing {
     gl.clear(gl.COLOR_BUFFER_BIT);
   }
 
-  // rows: from Rows. order: the Gaussians in drawing order.
-  take({ rows, order }) {
+  // Resolves once the device has done what it was asked for. Until then, a call might block the page.
+  async idle() {
     const { gl } = this;
+    const isBusy = () => gl.getSyncParameter(this.sync, gl.SYNC_STATUS) !== gl.SIGNALED && !gl.isContextLost();
+    for (let rest = 4; this.sync && isBusy(); rest *= 1.1) await new Promise((resolve) => setTimeout(resolve, rest));
+    // The milliseconds for the last image.
+    if (this.begun !== undefined) [this.took, this.begun] = [performance.now() - this.begun, undefined];
+  }
+
+  #asked() {
+    const { gl } = this;
+    gl.deleteSync(this.sync ?? null);
+    this.sync = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
+    gl.flush();
+  }
+
+  // blocks: from Rows. order: the Gaussians in drawing order, unless it stays.
+  take({ blocks, order }) {
+    const { gl, layers } = this;
     gl.bindTexture(gl.TEXTURE_2D, this.texture);
-    if (this.layers > 0) gl.bindTexture(gl.TEXTURE_2D_ARRAY, this.harmonics);
-    for (const { row, words, harmonics } of rows) {
-      gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, row, words.length / 4, 1, gl.RGBA_INTEGER, gl.UNSIGNED_INT, words);
-      if (this.layers === 0) continue;
-      gl.texSubImage3D(
-        gl.TEXTURE_2D_ARRAY, 0, 0, row, 0, WIDTH, 1, this.layers, gl.RGBA, gl.FLOAT, harmonics,
-      );
+    if (layers > 0) gl.bindTexture(gl.TEXTURE_2D_ARRAY, this.harmonics);
+    for (const { slot, words, harmonics } of blocks) {
+      const [column, row] = [slot % WIDTH, Math.floor(slot / WIDTH)];
+      const [format, type] = [gl.RGBA_INTEGER, gl.UNSIGNED_INT];
+      gl.texSubImage2D(gl.TEXTURE_2D, 0, TEXELS * column, row, words.length / 4, 1, format, type, words);
+      if (layers === 0) continue;
+      const count = harmonics.length / (4 * layers);
+      gl.texSubImage3D(gl.TEXTURE_2D_ARRAY, 0, column, row, 0, count, 1, layers, gl.RGBA, gl.FLOAT, harmonics);
     }
-    if (rows.length > 0) this.shaded = undefined;
-    gl.bindBuffer(gl.ARRAY_BUFFER, this.slots);
-    gl.bufferData(gl.ARRAY_BUFFER, order, gl.DYNAMIC_DRAW);
-    this.count = order.length;
+    if (blocks.length > 0) this.shaded = undefined;
+    if (order !== undefined) {
+      gl.bindBuffer(gl.ARRAY_BUFFER, this.slots);
+      gl.bufferData(gl.ARRAY_BUFFER, order, gl.DYNAMIC_DRAW);
+      this.count = order.length;
+    }
+    this.#asked();
   }
 
   // Computes the colours of a static scene, unless the camera has only turned.
@@ -270,6 +290,8 @@ export class Drawing {
     const smaller = { focal: scaled(lens.focal), principal_point: scaled(lens.principal_point) };
     this.#blend(Math.ceil(width * share), Math.ceil(height * share), pose, smaller);
     this.#encode(null, width, height);
+    this.begun = performance.now();
+    this.#asked();
   }
 
   // Returns an image, as bytes of red, green, blue and 255, from the top row.

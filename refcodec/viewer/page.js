@@ -2,18 +2,20 @@
 import { around, facing, fitted, lensOf, look, moved, nearer, nearestFirst, orbit, poseOf, upOf } from "./camera.js";
 import { Drawing } from "./draw.js";
 import { Panel } from "./panel.js";
+import { bytesOf } from "./text.js";
 
 // Radians per pixel, the logarithmic distance factor of a wheel step, and scene radii per second.
-const TURN = 0.006;
-const WHEEL = 0.0012;
-const FLY = 0.4;
+const [TURN, WHEEL, FLY] = [0.006, 0.0012, 0.4];
 // Frame times in milliseconds above which the image gets fewer pixels: while the camera moves, and until the networks
 // have computed all Gaussians. Below the share QUICK of them it gets more.
 const SLOW = { moving: 60, coming: 200 };
-const QUICK = 0.4;
-const SHARE_MIN = 0.1;
+const [QUICK, SHARE_MIN] = [0.4, 0.1];
 // Milliseconds without motion until all pixels are drawn again.
 const STILL = 150;
+// The most workers that decode: more would take memory, and few devices have more quick cores.
+const MEMBERS_MAX = 4;
+// The most Gaussians by default, on phones and tablets and on other devices.
+const BUDGET = { small: 1_000_000, large: 4_000_000 };
 // The most device pixels per CSS pixel: more are not visible.
 const RATIO_MAX = 2;
 const LOST = "The graphics device was lost: load the page again";
@@ -21,13 +23,16 @@ const KEYS = { KeyW: [2, 1], KeyS: [2, -1], KeyD: [0, 1], KeyA: [0, -1], KeyE: [
 
 const byId = (id) => document.getElementById(id);
 
-function decoded(text) {
-  return Uint8Array.from(atob(text.trim()), (letter) => letter.charCodeAt(0));
+// The most Gaussians that are drawn: `budget` of the address, or what suits the device.
+function budgetOf(search) {
+  const asked = Number.parseInt(new URLSearchParams(search).get("budget"), 10);
+  const isSmall = matchMedia("(pointer: coarse)").matches || navigator.deviceMemory < 4;
+  return asked >= 0 ? asked : BUDGET[isSmall ? "small" : "large"];
 }
 
 // Unpacks the bytes in an element of the page.
 async function unpacked(id) {
-  const stream = new Blob([decoded(byId(id).textContent)]).stream().pipeThrough(new DecompressionStream("gzip"));
+  const stream = new Blob([bytesOf(byId(id).textContent)]).stream().pipeThrough(new DecompressionStream("gzip"));
   return new Uint8Array(await new Response(stream).arrayBuffer());
 }
 
@@ -44,62 +49,67 @@ class Viewer {
     this.drawing = new Drawing(this.canvas);
     this.pressed = new Set();
     this.pointers = new Map();
-    this.waiting = [];
+    Object.assign(this, { waiting: [], workers: [] });
     this.share = 1;
     this.#listen();
   }
 
-  // Opens a file in place of the current one. input: bytes or a Blob. url: its address, without an input.
-  async open({ input, url, name }) {
+  // Opens a file in place of the current one. input: bytes or a Blob. text: bytes in base64. url: its address, without
+  // the others.
+  async open({ input, text, url, name }) {
     this.#stop();
     // Callers that wait for the previous file wait for this one.
     const opening = (this.opening = {});
     Object.assign(this, { header: undefined, cameras: [], extent: undefined, name, touched: false });
-    Object.assign(this, { view: 0, settled: undefined, owes: false, refused: undefined });
+    Object.assign(this, { view: 0, settled: undefined, arriving: false, refused: undefined });
     // The camera of the previous file does not apply to this one.
     Object.assign(this, { pose: undefined, lens: undefined, camera: undefined, number: undefined });
     this.panel.begin(name);
     this.drawing.clear();
-    if (this.drawing.gl.isContextLost()) {
-      this.on_refused({ kind: "fault", text: LOST });
-      return;
-    }
+    if (this.drawing.gl.isContextLost()) return this.on_refused({ kind: "fault", text: LOST });
     try {
       this.wasm ??= await unpacked("wasm");
       // A page from a disk cannot load a worker from another file.
       this.code ??= URL.createObjectURL(new Blob([await unpacked("worker")], { type: "text/javascript" }));
       // Meanwhile another file may have been chosen, or the device lost.
       if (this.opening !== opening || this.refused !== undefined) return;
-      this.worker = new Worker(this.code);
+      const members = Math.max(1, Math.min(navigator.hardwareConcurrency, MEMBERS_MAX));
+      this.workers = Array.from({ length: 1 + members }, () => new Worker(this.code));
     } catch (error) {
-      if (this.opening === opening) {
-        this.on_refused({ kind: "fault", text: `This browser cannot begin: ${error.message}` });
-      }
-      return;
+      if (this.opening !== opening) return;
+      return this.on_refused({ kind: "fault", text: `This browser cannot begin: ${error.message}` });
     }
-    const { worker } = this;
+    const [worker, ...members] = this.workers;
+    this.worker = worker;
     // Messages of a terminated worker may still arrive.
-    const heard = (take) => (event) => {
-      if (this.worker === worker) take(event);
-    };
+    const heard = (take) => (event) => this.worker === worker && take(event);
     worker.onmessage = heard(({ data }) => this[`on_${data.type}`](data));
-    worker.onerror = heard((event) => this.on_refused({ kind: "fault", text: event.message }));
-    worker.postMessage({ type: "open", wasm: this.wasm, input, url });
+    const failed = heard(({ message: text }) => this.on_refused({ kind: "fault", text }));
+    for (const own of this.workers) own.onerror = failed;
+    const ports = members.map((member) => {
+      const { port1, port2: port } = new MessageChannel();
+      member.postMessage({ type: "join", port }, [port]);
+      return port1;
+    });
+    const budget = budgetOf(location.search);
+    worker.postMessage({ type: "open", wasm: this.wasm, input, text, url, ports, budget }, ports);
   }
 
-  #stop() {
-    this.worker?.terminate();
-    this.worker = undefined;
+  // Ends the workers but some.
+  #stop(kept = 0) {
+    for (const worker of this.workers.splice(kept)) worker.terminate();
+    if (kept === 0) this.worker = undefined;
   }
 
-  on_head({ header, height, harmonics, ...about }) {
+  on_head({ header, height, harmonics, members, left, ...about }) {
+    this.#stop(1 + members);
     try {
       this.drawing.begin(header, height, harmonics);
     } catch (error) {
-      this.on_refused({ kind: "bound", text: error.message });
-      return;
+      return this.on_refused({ kind: "bound", text: error.message });
     }
     this.header = header;
+    this.panel.left(left);
     this.#about(about);
   }
 
@@ -111,21 +121,29 @@ class Viewer {
   }
 
   on_chunk({ anchors, middle, radius }) {
-    this.extent = { middle, radius };
     this.panel.progress(anchors / this.header.anchor_count);
-    if (!this.touched) this.#start();
+    if (radius !== undefined) this.#extend(middle, radius);
   }
 
-  on_end(about) {
+  on_end({ middle = [0, 0, 0], radius = 1, ...about }) {
+    this.#stop(1);
     this.#about(about);
     this.panel.progress(1);
-    this.extent ??= { middle: [0, 0, 0], radius: 1 };
+    this.#extend(middle, radius);
+  }
+
+  #extend(middle, radius) {
+    this.extent = { middle, radius };
     if (!this.touched) this.#start();
   }
 
-  on_frame(frame) {
-    this.owes = true;
+  async on_frame(frame) {
+    const { worker } = this;
+    await this.drawing.idle();
+    if (this.worker !== worker) return;
     this.drawing.take(frame);
+    worker.postMessage({ type: "taken" });
+    this.arriving = frame.arriving;
     if (frame.id === this.view && frame.settled) this.settled = frame.id;
     this.ask();
   }
@@ -162,16 +180,21 @@ class Viewer {
 
   // Sets a new pose, or without one marks the camera as changed.
   changed(pose) {
-    if (pose !== undefined) {
-      Object.assign(this, { pose, camera: undefined, touched: true });
-    }
+    if (pose !== undefined) Object.assign(this, { pose, camera: undefined, touched: true });
     this.stale = true;
     this.movedAt = performance.now();
     this.ask();
   }
 
   ask() {
-    this.asked ??= requestAnimationFrame((time) => this.#tick(time));
+    this.asked ??= this.#idle().then(() => requestAnimationFrame((time) => this.#tick(time)));
+  }
+
+  async #idle() {
+    await this.drawing.idle();
+    const { took } = this.drawing;
+    // A device that draws slowly takes Gaussians for as long as an image takes.
+    if (this.arriving && took > SLOW.moving) await new Promise((resolve) => setTimeout(resolve, took));
   }
 
   #tick(time) {
@@ -213,7 +236,17 @@ class Viewer {
     this.stale = false;
     this.view++;
     const { rotation, centre } = this.pose;
-    this.worker?.postMessage({ type: "view", id: this.view, rotation, centre });
+    this.worker?.postMessage({ type: "view", id: this.view, rotation, centre, slope: this.#slope() });
+  }
+
+  // The largest slope from the axis of the camera at which Gaussians may be drawn: in the window, and in its own image.
+  #slope() {
+    // Three deviations of the filter, with the fewest pixels.
+    const blur = (3.4 * Math.sqrt(this.header.low_pass)) / SHARE_MIN;
+    const lenses = [this.lens, fitted(this.lens, [innerWidth, innerHeight]).lens];
+    return Math.max(...lenses.map(({ width, height, focal, principal_point: [x, y] }) => {
+      return Math.hypot((Math.max(x, width - x) + blur) / focal[0], (Math.max(y, height - y) + blur) / focal[1]);
+    }));
   }
 
   draw(share) {
@@ -224,8 +257,6 @@ class Viewer {
     if (canvas.width !== wide || canvas.height !== high) Object.assign(canvas, { width: wide, height: high });
     const { lens, left, top, scale } = fitted(this.lens, [wide, high]);
     this.drawing.draw(this.pose, lens, share);
-    if (this.owes) this.worker?.postMessage({ type: "drawn" });
-    this.owes = false;
     const box = [left, top, this.lens.width * scale, this.lens.height * scale].map((side) => side / ratio);
     this.panel.photograph(this.camera?.isPhotograph ? this.camera : undefined, box);
     if (this.settled !== undefined && this.settled === this.view) this.panel.done();
@@ -244,10 +275,8 @@ class Viewer {
   #tell() {
     const whole = !this.stale && this.settled !== undefined && this.settled === this.view;
     if (this.refused === undefined && !whole) return;
-    for (const { resolve, reject } of this.waiting.splice(0)) {
-      if (this.refused !== undefined) reject(new Error(JSON.stringify(this.refused)));
-      else resolve();
-    }
+    const error = this.refused && new Error(JSON.stringify(this.refused));
+    for (const { resolve, reject } of this.waiting.splice(0)) error ? reject(error) : resolve();
   }
 
   // The image of a camera in its own size, as the address of a PNG file. camera: a StatedCamera of the decoder.
@@ -269,10 +298,9 @@ class Viewer {
   #save() {
     if (this.pose === undefined) return;
     const { width, height } = this.canvas;
-    const { lens } = fitted(this.lens, [width, height]);
-    const name = `${(this.name ?? "scene").replace(/\.c3gs$/, "")}.png`;
-    const href = this.#png(width, height, this.pose, lens);
-    Object.assign(document.createElement("a"), { download: name, href }).click();
+    const download = `${(this.name ?? "scene").replace(/\.c3gs$/, "")}.png`;
+    const href = this.#png(width, height, this.pose, fitted(this.lens, [width, height]).lens);
+    Object.assign(document.createElement("a"), { download, href }).click();
   }
 
   #listen() {
@@ -282,17 +310,14 @@ class Viewer {
       this.pointers.set(event.pointerId, event);
     });
     canvas.addEventListener("pointermove", (event) => this.#drag(event));
-    for (const name of ["pointerup", "pointercancel", "lostpointercapture"]) {
-      canvas.addEventListener(name, (event) => {
-        this.pointers.delete(event.pointerId);
-        this.movedAt = performance.now();
-        this.ask();
-      });
-    }
+    const released = (event) => {
+      this.pointers.delete(event.pointerId);
+      this.movedAt = performance.now();
+      this.ask();
+    };
+    for (const name of ["pointerup", "pointercancel", "lostpointercapture"]) canvas.addEventListener(name, released);
     canvas.addEventListener("contextmenu", (event) => event.preventDefault());
-    canvas.addEventListener("webglcontextlost", () => {
-      this.on_refused({ kind: "fault", text: LOST });
-    });
+    canvas.addEventListener("webglcontextlost", () => this.on_refused({ kind: "fault", text: LOST }));
     const wheel = (event) => {
       event.preventDefault();
       if (this.pose === undefined) return;
@@ -301,7 +326,7 @@ class Viewer {
     };
     canvas.addEventListener("wheel", wheel, { passive: false });
     canvas.addEventListener("dblclick", (event) => this.#focus(event));
-    addEventListener("resize", () => this.ask());
+    addEventListener("resize", () => this.changed());
     addEventListener("keydown", (event) => this.#key(event));
     addEventListener("keyup", (event) => {
       this.fast = event.shiftKey;
@@ -371,15 +396,13 @@ class Viewer {
   }
 
   #listenToFiles() {
-    const over = (event) => {
-      event.preventDefault();
-      document.body.classList.toggle("over", event.type === "dragover");
-    };
-    for (const name of ["dragover", "dragleave"]) addEventListener(name, over);
-    addEventListener("drop", (event) => {
-      over(event);
-      this.panel.take(event.dataTransfer.files);
-    });
+    for (const name of ["dragover", "dragleave", "drop"]) {
+      addEventListener(name, (event) => {
+        event.preventDefault();
+        document.body.classList.toggle("over", name === "dragover");
+        if (name === "drop") this.panel.take(event.dataTransfer.files);
+      });
+    }
   }
 }
 
@@ -389,13 +412,13 @@ function start() {
   try {
     viewer = new Viewer(settings);
   } catch (error) {
-    new Panel({}).refuse(settings.name, undefined, { kind: "fault", text: error.message });
-    return;
+    return new Panel({}).refuse(settings.name, undefined, { kind: "fault", text: error.message });
   }
   globalThis.c3gs = viewer;
   const scene = byId("scene").textContent.trim();
+  byId("scene").remove();
   const asked = new URLSearchParams(location.search).get("file") ?? settings.url;
-  if (scene !== "") viewer.open({ input: decoded(scene), name: settings.name });
+  if (scene !== "") viewer.open({ text: scene, name: settings.name });
   else if (asked !== null) openAt(viewer, asked, settings);
   else viewer.panel.wait();
 }
@@ -405,8 +428,7 @@ function openAt(viewer, asked, settings) {
   try {
     url = new URL(asked, location.href);
   } catch {
-    viewer.on_refused({ kind: "fault", text: `${asked} is no address of a file` });
-    return;
+    return viewer.on_refused({ kind: "fault", text: `${asked} is no address of a file` });
   }
   viewer.open({ url: url.href, name: settings.url === asked ? settings.name : url.pathname.split("/").pop() });
 }

@@ -5,32 +5,18 @@ const byId = (id) => document.getElementById(id);
 const find = (selector) => document.querySelector(selector);
 
 const PARTS = {
-  header: "header and index",
-  weights: "weights of the networks",
-  planes: "planes",
-  positions: "positions",
-  masks: "masks",
-  attributes: "attributes",
-  chunks: "chunks",
-  ancillary: "cameras, metadata",
+  header: "header and index", weights: "weights of the networks", planes: "planes", positions: "positions",
+  masks: "masks", attributes: "attributes", chunks: "chunks", ancillary: "cameras, metadata",
 };
 // Reasons of rejection, and the next step of the user.
+const AGAIN = "Copy or download it again. If that does not help, ask its sender.";
 const REASONS = {
   foreign: ["This is not a C3GS file", ""],
   cut: ["This file is incomplete", "Its end is missing. Copy or download it again."],
-  malformed: [
-    "This file is damaged",
-    "Some bytes have changed. Copy or download it again. If that does not help, ask its sender.",
-  ],
-  invalid: [
-    "This file is damaged",
-    "It violates a rule of the format. Copy or download it again. If that does not help, ask its sender.",
-  ],
-  unsupported: [
-    "This page does not support the file's version or profile",
-    "A later version of refcodec may support it.",
-  ],
-  bound: ["This file is too large for the page", "The command refcodec render draws it without a page."],
+  malformed: ["This file is damaged", `Some bytes have changed. ${AGAIN}`],
+  invalid: ["This file is damaged", `It violates a rule of the format. ${AGAIN}`],
+  unsupported: ["This page does not support the file's version or profile", "A later refcodec may support it."],
+  bound: ["This file is too large for the page", "A lower ?budget= may do. refcodec render needs no page."],
   memory: ["Out of memory", "Close other pages and programs, and load this page again."],
   fault: ["This file cannot be shown", ""],
 };
@@ -40,10 +26,7 @@ const CONVERT = [
 ];
 
 // The most characters that are shown of a text.
-const TITLE_MAX = 120;
-const CREDIT_MAX = 240;
-const NAME_MAX = 80;
-const TEXT_MAX = 400;
+const [TITLE_MAX, CREDIT_MAX, NAME_MAX, TEXT_MAX] = [120, 240, 80, 400];
 
 const whole = (number) => number.toLocaleString("en");
 
@@ -114,6 +97,7 @@ export class Panel {
 
   begin(name) {
     this.#hide("drop", "error", "cameras", "sizes", "slider", "photograph");
+    put(byId("left"), "");
     this.#toggle(false);
     byId("head").hidden = false;
     this.#title(name, "");
@@ -138,6 +122,13 @@ export class Panel {
     this.#status(share < 1 ? `decoding: ${Math.floor(100 * share)} %` : "drawing", share);
   }
 
+  // most: Gaussians that are drawn, of those `kept` in the file. dropped: numbers of chunks without any.
+  left({ most, kept, dropped }) {
+    const chunks = dropped.length > 0 ? `, none of ${dropped.length} chunks: ${dropped.join(", ")}` : "";
+    const text = `The ${whole(most)} most visible of ${whole(kept)} Gaussians; ?budget= sets how many${chunks}`;
+    put(byId("left"), most < kept ? text : "");
+  }
+
   // The whole scene is drawn.
   done() {
     byId("status").classList.add("done");
@@ -153,13 +144,9 @@ export class Panel {
 
   #bytes(header, length, parts) {
     const names = Object.keys(PARTS).filter((part) => parts[part] > 0);
-    const colour = (part) => Object.assign(made("i", ""), { style: `background: var(--${part})` });
-    const bar = names.map((part) => {
-      const piece = colour(part);
-      piece.style.flexGrow = parts[part];
-      piece.title = `${PARTS[part]}: ${whole(parts[part])} bytes`;
-      return piece;
-    });
+    const colour = (part, more = "") => made("i", "", { style: `background: var(--${part})${more}` });
+    const title = (part) => `${PARTS[part]}: ${whole(parts[part])} bytes`;
+    const bar = names.map((part) => Object.assign(colour(part, `; flex-grow: ${parts[part]}`), { title: title(part) }));
     find("#sizes .bar").replaceChildren(...bar);
     const more = made("span", ` · ${whole(header.anchor_count)} anchors`, { className: "more" });
     find("#sizes .text").replaceChildren(readable(length), more);
@@ -170,11 +157,8 @@ export class Panel {
       return [cell, made("td", whole(parts[part])), made("td", `${share} %`)];
     });
     rows.push([made("td", "file"), made("td", whole(length)), made("td", "")]);
-    const table = rows.map((cells) => {
-      const row = made("tr", "");
-      row.append(...cells);
-      return row;
-    });
+    const table = rows.map(() => made("tr", ""));
+    table.forEach((row, i) => row.append(...rows[i]));
     find("#details tbody").replaceChildren(...table);
     byId("sizes").hidden = false;
   }
@@ -209,6 +193,7 @@ export class Panel {
   refuse(name, error, reason) {
     const { kind, looks } = reason;
     this.#hide("status", "cameras", "sizes", "slider", "photograph", "details", "drop");
+    put(byId("left"), "");
     find("#tools [data-key=KeyR]").hidden = true;
     this.#title(name ?? "", "");
     const cut = error?.name.endsWith(".truncated") ? "cut" : error?.class;

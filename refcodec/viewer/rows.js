@@ -8,7 +8,7 @@
 //
 // The unit is 1 unless a colour is above 1, as in a static scene (14.6). In a static scene, a row is computed once, and
 // the page computes the colours from harmonics: the numbers of a Gaussian by layers of four, each layer for a whole row.
-import { anchorArrays, isStatic } from "../web/container.js";
+import { isStatic } from "../web/container.js";
 import { boundsOf } from "../web/gaussians.js";
 import { activated } from "../web/splat.js";
 
@@ -16,8 +16,9 @@ import { activated } from "../web/splat.js";
 export const WIDTH = 1024;
 export const TEXELS = 3;
 const WORDS = 4 * TEXELS;
-// The bytes of rows that wait for the page.
-const WAITING_MAX = 48 << 20;
+// The bytes of rows that wait for the page, and of those that it gets at once.
+const WAITING_MAX = 16 << 20;
+const UPLOAD_MAX = 4 << 20;
 // A click hits Gaussians within this angle of its ray.
 const COS_NEAR = Math.cos(0.15);
 const MET = 16;
@@ -27,112 +28,114 @@ export const UNIT_MAX = 1 << 15;
 const ALPHA_MIN = 1 / 255;
 
 export class Rows {
-  // gaussians: of a scene that is not static. entries: those of the chunk index.
-  constructor(scene, gaussians, entries) {
+  // gaussians: of a scene that is not static. quotas: the most Gaussians of each chunk.
+  constructor(scene, gaussians, quotas) {
     const { header } = scene;
-    const k = header.offset_count;
-    Object.assign(this, { scene, gaussians });
+    Object.assign(this, { scene, gaussians, most: 0, slots: new Float64Array(quotas.length) });
     this.harmonics = isStatic(header) ? header.colour_outputs : 0;
-    // For each row: the anchors from start to before end, their bounds, and the place of their last view.
+    // Rows, or parts of rows in a static scene: `slot`, the place of the first Gaussian, and what `packed` returned,
+    // for what the page has. In other scenes also the anchors from start to before end, and where they were seen from.
     this.blocks = [];
     this.anchorCount = 0;
     this.view = gaussians?.room(WIDTH);
     // A row may waste up to the offsets of one anchor.
-    const least = WIDTH - k + 1;
-    this.height = 0;
-    this.most = 0;
-    for (const { kept } of entries) {
-      this.height += Math.floor(kept / least) + 1;
-      this.most += kept;
+    const least = WIDTH - header.offset_count + 1;
+    let next = 0;
+    for (const [number, quota] of quotas.entries()) {
+      this.slots[number] = next;
+      next += gaussians === undefined ? quota : WIDTH * Math.ceil(quota / least);
+      this.most += quota;
     }
-    // The bytes of a row here or in transit.
-    this.rowBytes = 4 * WIDTH * (WORDS + 4 * layersOf(this.harmonics));
-    // The most rows that wait for the page.
-    this.waitingMax = Math.max(1, Math.floor(WAITING_MAX / this.rowBytes));
-    this.means = [];
-    this.found = [];
-    this.counts = [];
+    this.height = Math.ceil(next / WIDTH);
+    // What `packed` returned of the blocks that the page does not have yet.
+    Object.assign(this, { waiting: new Map(), waitingBytes: 0 });
   }
 
   // The memory of all rows, here, in sorting and on the page: 12 bytes of mean and 33 of order per Gaussian, the
   // textures, and the waiting rows.
   get bytes() {
-    const colours = this.harmonics > 0 ? 8 * WIDTH * this.height : 0;
-    return 45 * this.most + colours + this.rowBytes * (this.height + 2 * Math.min(this.height, this.waitingMax));
+    const layers = layersOf(this.harmonics);
+    const texels = 4 * WORDS + (layers > 0 ? 8 * layers + 8 : 0);
+    return 45 * this.most + texels * WIDTH * this.height + 2 * WAITING_MAX;
   }
 
-  // chunk: its anchors.
-  add(chunk) {
+  get isFull() {
+    return this.waitingBytes >= WAITING_MAX;
+  }
+
+  // A result of the team: for a static scene the blocks, for another one the anchors.
+  add({ number, count, blocks, chunk }) {
+    this.anchorCount += count;
+    if (chunk !== undefined) this.blocks.push(...this.#split(chunk, this.slots[number]));
+    for (const { slot, found } of blocks ?? []) {
+      const block = { slot, count: 0 };
+      this.blocks.push(block);
+      this.#wait(block, found);
+    }
+    this.isMixed = true;
+  }
+
+  // The blocks in the order of the file: chunks arrive in any order.
+  get ordered() {
+    if (this.isMixed) this.blocks.sort((a, b) => a.slot - b.slot);
+    this.isMixed = false;
+    return this.blocks;
+  }
+
+  #wait(block, found) {
+    this.waitingBytes += bytesOf(found) - bytesOf(this.waiting.get(block));
+    this.waiting.set(block, found);
+  }
+
+  *#split(chunk, slot) {
     const { count, masks, positions } = chunk;
     const offsets = this.scene.header.offset_count;
-    this.gaussians?.add(chunk);
-    for (let first = 0; first < count; ) {
+    const before = this.gaussians.anchorCount;
+    this.gaussians.add(chunk);
+    for (let first = 0; first < count; slot += WIDTH) {
       let [last, kept] = [first, 0];
       for (; last < count; last++) {
         const more = masks.subarray(offsets * last, offsets * (last + 1)).reduce((sum, mask) => sum + mask, 0);
         if (kept + more > WIDTH) break;
         kept += more;
       }
-      const own = boundsOf(positions.subarray(3 * first, 3 * last));
-      const anchors = this.gaussians === undefined ? this.#part(chunk, first, last) : undefined;
-      const [start, end] = [this.anchorCount + first, this.anchorCount + last];
-      this.blocks.push({ start, end, ...own, from: undefined, anchors });
-      this.means.push(new Float32Array(3 * kept));
-      this.found.push(undefined);
-      this.counts.push(0);
+      const anchors = boundsOf(positions.subarray(3 * first, 3 * last));
+      yield { slot, start: before + first, end: before + last, anchors, from: undefined, count: 0 };
       first = last;
     }
-    this.anchorCount += count;
-  }
-
-  #part(chunk, first, last) {
-    const part = ([name, [, width]]) => [name, chunk[name].subarray(width * first, width * last)];
-    return { count: last - first, ...Object.fromEntries(Object.entries(anchorArrays(this.scene.header)).map(part)) };
   }
 
   // The change of the view of a row: the distance from its last view over the distance to its anchors.
-  change({ low, high, from }, centre) {
+  change({ anchors, from }, centre) {
+    if (anchors === undefined) return 0;
     if (from === undefined) return Infinity;
-    if (this.gaussians === undefined) return 0;
     const way = Math.hypot(...centre.map((x, axis) => x - from[axis]));
     if (way === 0) return 0;
+    const { low, high } = anchors;
     const distance = Math.hypot(...centre.map((x, axis) => Math.max(low[axis] - x, 0, x - high[axis])));
     return way / distance;
   }
 
-  // The Gaussians of a row for a view.
-  #seen(block, centre) {
-    if (this.gaussians !== undefined) return this.gaussians.range(block.start, block.end, centre, this.view);
-    const own = activated(this.scene.splat(block.anchors));
-    block.anchors = undefined;
-    return own;
+  // Computes a row of a scene that is not static.
+  update(block, centre) {
+    const own = this.gaussians.range(block.start, block.end, centre, this.view);
+    block.from = [...centre];
+    this.#wait(block, packed(own, 0, own.count, 0));
   }
 
-  // Computes a row. 14.4: a Gaussian's covariance is that of its axes, turned by its quaternion.
-  update(row, centre) {
-    const block = this.blocks[row];
-    block.from = [...centre];
-    const { count, positions, scales, rotations, colours, opacities, harmonics } = this.#seen(block, centre);
-    const words = new Uint32Array(WORDS * count);
-    const floats = new Float32Array(words.buffer);
-    const layers = new Float32Array(4 * WIDTH * layersOf(this.harmonics));
-    const means = this.means[row];
-    let n = 0;
-    for (let i = 0; i < count; i++) {
-      if (!(opacities[i] >= ALPHA_MIN)) continue;
-      const at = WORDS * n;
-      for (let axis = 0; axis < 3; axis++) floats[at + axis] = means[3 * n + axis] = positions[3 * i + axis];
-      floats[at + 3] = opacities[i];
-      covariance(scales, 3 * i, rotations, 4 * i, floats, at + 4);
-      if (colours !== undefined) setColour(colours, 3 * i, words, at + 10);
-      for (let j = 0, from = this.harmonics * i; j < this.harmonics; j++) {
-        layers[4 * (WIDTH * (j >> 2) + n) + (j & 3)] = harmonics[from + j];
-      }
-      // A non-finite number would spread over the image.
-      if (finite(floats, at, at + 10)) n++;
+  // Returns the texels of some blocks for the page, which are not kept.
+  take() {
+    const taken = [];
+    let bytes = 0;
+    for (const [block, { words, harmonics, ...found }] of this.waiting) {
+      taken.push({ slot: block.slot, words, harmonics });
+      Object.assign(block, found);
+      this.waiting.delete(block);
+      bytes += bytesOf({ words, harmonics });
+      if (bytes > UPLOAD_MAX) break;
     }
-    this.counts[row] = n;
-    this.found[row] = { row, words: words.subarray(0, WORDS * n), harmonics: layers };
+    this.waitingBytes -= bytes;
+    return taken;
   }
 
   // Returns the mean of a Gaussian that a ray hits, or undefined. A quarter of the hits may be in front of it: isolated
@@ -140,8 +143,8 @@ export class Rows {
   hit(centre, direction) {
     const ray = direction.map((x) => x / Math.hypot(...direction));
     const near = [];
-    this.means.forEach((own, row) => {
-      for (let at = 0; at < 3 * this.counts[row]; at += 3) {
+    this.blocks.forEach(({ means: own, count }) => {
+      for (let at = 0; at < 3 * count; at += 3) {
         const way = centre.map((x, axis) => own[at + axis] - x);
         const along = way[0] * ray[0] + way[1] * ray[1] + way[2] * ray[2];
         const cosine = along / Math.hypot(...way);
@@ -151,15 +154,54 @@ export class Rows {
     const met = near.sort((a, b) => b.cosine - a.cosine).slice(0, MET).sort((a, b) => a.along - b.along);
     return met[met.length >> 2]?.point;
   }
+}
 
-  // Returns some rows, and does not keep them.
-  take(rows) {
-    return rows.map((row) => {
-      const found = this.found[row];
-      this.found[row] = undefined;
-      return found;
-    });
+// The blocks of the anchors of a chunk of a static scene. slot: of its first Gaussian.
+export function staticBlocks(scene, chunk, slot) {
+  const own = activated(scene.splat(chunk));
+  const blocks = [];
+  for (let from = 0; from < own.count; ) {
+    const to = Math.min(own.count, from + WIDTH - ((slot + from) % WIDTH));
+    blocks.push({ slot: slot + from, found: packed(own, from, to, scene.header.colour_outputs) });
+    from = to;
   }
+  return blocks;
+}
+
+// Returns the texels of Gaussians that may be seen, words and harmonics. Also count, means, and a sphere around their
+// ellipsoids, middle and radius. 14.4: a Gaussian's covariance is that of its axes, turned by its quaternion.
+function packed({ positions, scales, rotations, colours, opacities, harmonics }, from, to, numbers) {
+  const room = to - from;
+  const words = new Uint32Array(WORDS * room);
+  const floats = new Float32Array(words.buffer);
+  const layers = new Float32Array(4 * room * layersOf(numbers));
+  const means = new Float32Array(3 * room);
+  let [n, reach] = [0, 0];
+  for (let i = from; i < to; i++) {
+    if (!(opacities[i] >= ALPHA_MIN)) continue;
+    const at = WORDS * n;
+    for (let axis = 0; axis < 3; axis++) floats[at + axis] = means[3 * n + axis] = positions[3 * i + axis];
+    floats[at + 3] = opacities[i];
+    covariance(scales, 3 * i, rotations, 4 * i, floats, at + 4);
+    if (colours !== undefined) setColour(colours, 3 * i, words, at + 10);
+    for (let j = 0; j < numbers; j++) {
+      // The textures have 16-bit floats.
+      layers[4 * (room * (j >> 2) + n) + (j & 3)] = Math.max(-65504, Math.min(harmonics[numbers * i + j], 65504));
+    }
+    // A non-finite number would spread over the image.
+    if (!finite(floats, at, at + 10)) continue;
+    n++;
+    const longest = Math.max(scales[3 * i], scales[3 * i + 1], scales[3 * i + 2]);
+    reach = Math.max(reach, longest * Math.sqrt(2 * Math.log(opacities[i] / ALPHA_MIN)));
+  }
+  const { low, high } = boundsOf(means.subarray(0, 3 * n));
+  const middle = Array.from(low, (x, axis) => (x + high[axis]) / 2);
+  const radius = Math.hypot(...Array.from(low, (x, axis) => high[axis] - x)) / 2 + reach;
+  return { count: n, words: words.subarray(0, WORDS * n), harmonics: layers, means, middle, radius };
+}
+
+function bytesOf(found) {
+  return found === undefined ? 0 : found.words.byteLength + found.harmonics.byteLength;
 }
 
 // The texels of the harmonics of a Gaussian. numbers: of its harmonics.

@@ -1,7 +1,4 @@
-// The drawing order: Gaussians by decreasing depth. At equal depth, the first one in the file is nearest (SPEC.md
-// 14.5).
-import { WIDTH } from "./rows.js";
-
+// The drawing order: Gaussians by decreasing depth. At equal depth, the first in the file is nearest (SPEC.md 14.5).
 const RADIX = 1 << 16;
 
 export class Sorter {
@@ -11,34 +8,41 @@ export class Sorter {
   }
 
   room(size) {
-    this.keys = new Uint32Array(size);
-    this.depths = new Float32Array(this.keys.buffer);
-    this.slots = new Uint32Array(size);
-    this.otherKeys = new Uint32Array(size);
-    this.otherSlots = new Uint32Array(size);
+    const [keys, slots, otherKeys, otherSlots] = Array.from({ length: 4 }, () => new Uint32Array(size));
+    Object.assign(this, { keys, slots, otherKeys, otherSlots, depths: new Float32Array(keys.buffer) });
   }
 
-  // Returns row * WIDTH + column of each Gaussian that is not behind the near plane (14.4), the farthest one first.
-  order({ means, counts }, centre, rotation, near) {
-    const all = counts.reduce((sum, count) => sum + count, 0);
-    if (all > this.slots.length) this.room(Math.ceil(1.25 * all));
+  // Returns the slot of each Gaussian that is not behind the near plane (14.4), nor in a block outside the image, the
+  // farthest one first. blocks: of Rows. slope: the largest one of the image, from the axis of the camera.
+  order(blocks, { centre, rotation, slope }, near) {
     const [x, y, z] = rotation.slice(6);
+    // 14.4 projects at most sqrt(1 + s^2) times a length, at a slope s that is at most 1.3 times that of the image.
+    const stretch = Math.hypot(1, 1.3 * slope);
+    const seen = blocks.filter(({ count, middle, radius }) => {
+      if (count === 0) return false;
+      const way = middle.map((a, i) => a - centre[i]);
+      const ahead = x * way[0] + y * way[1] + z * way[2];
+      const aside = Math.sqrt(Math.max(Math.hypot(...way) ** 2 - ahead ** 2, 0));
+      return ahead + radius > near && aside - slope * ahead <= stretch * radius;
+    });
+    const all = seen.reduce((sum, { count }) => sum + count, 0);
+    if (all > this.slots.length) this.room(Math.ceil(1.25 * all));
     const shift = x * centre[0] + y * centre[1] + z * centre[2];
+    const { depths, keys, slots, otherKeys, otherSlots } = this;
     let n = 0;
-    for (let row = 0; row < counts.length; row++) {
-      const own = means[row];
-      for (let i = 0, at = 0; i < counts[row]; i++, at += 3) {
-        const depth = x * own[at] + y * own[at + 1] + z * own[at + 2] - shift;
+    for (const { slot, count, means } of seen) {
+      for (let i = 0, at = 0; i < count; i++, at += 3) {
+        const depth = x * means[at] + y * means[at + 1] + z * means[at + 2] - shift;
         if (depth > near) {
           // The bits of positive floats are in the order of the floats.
-          this.depths[n] = depth;
-          this.slots[n++] = row * WIDTH + i;
+          depths[n] = depth;
+          slots[n++] = slot + i;
         }
       }
     }
-    this.pass(n, 0, this.keys, this.slots, this.otherKeys, this.otherSlots);
-    this.pass(n, 16, this.otherKeys, this.otherSlots, this.keys, this.slots);
-    return this.slots.slice(0, n).reverse();
+    this.pass(n, 0, keys, slots, otherKeys, otherSlots);
+    this.pass(n, 16, otherKeys, otherSlots, keys, slots);
+    return slots.slice(0, n).reverse();
   }
 
   // One stable pass of a radix sort by 16 bits of the keys.

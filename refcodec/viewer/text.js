@@ -1,4 +1,4 @@
-// Text from outside, in printable form (SPEC.md 13.4). refcodec/files/text.py has the same rule.
+// Text from outside, in printable form (SPEC.md 13.4), and bytes as text. refcodec/files/text.py has the same rule.
 
 // Characters that Python does not call printable: controls, marks of text direction, halves of surrogate pairs,
 // unassigned characters, and separators except the space.
@@ -19,4 +19,12 @@ export function printable(text, most) {
   const shown = letters.map((letter) => (HIDDEN.test(letter) ? escaped(letter) : letter)).join("");
   const kept = [...shown];
   return kept.length <= most ? shown : `${kept.slice(0, most).join("")}…`;
+}
+
+// The bytes of a text in base64.
+export function bytesOf(text) {
+  const letters = atob(text.trim());
+  const bytes = new Uint8Array(letters.length);
+  for (let i = 0; i < letters.length; i++) bytes[i] = letters.charCodeAt(i);
+  return bytes;
 }

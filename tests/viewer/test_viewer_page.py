@@ -211,6 +211,42 @@ def test_a_damaged_file(browser: Chromium, trained: Path, tmp_path: Path) -> Non
     assert browser.run("c3gs.drawing.count") == 0
 
 
+def test_the_first_error_in_the_file(browser: Chromium, tmp_path: Path) -> None:
+    """Several workers decode, and the page says what refcodec says, whichever of them fails first. Then they end."""
+    (tmp_path / "none.html").write_bytes(page("none"))
+    _open(browser, tmp_path / "none.html")
+    for path in sorted((ROOT / "vectors").glob("*/order-of-*chunk*.c3gs")):
+        with pytest.raises(BitstreamError) as refused:
+            parse(path.read_bytes())
+        browser.run(f"c3gs.open({{ input: {_input(path.read_bytes())}, name: '' }})")
+        with pytest.raises(BrowserError) as said:
+            browser.run("c3gs.settle()")
+        verdict = json.loads(refused.value.to_json())
+        assert all(f'"{name}":{verdict[name]}' in str(said.value) for name in ("code", "offset")), path.name
+    assert browser.run("c3gs.workers.length") == 0
+
+
+@pytest.mark.parametrize(
+    ("name", "budget", "kept"),
+    [("trained-caliterra", 3000, 6120), ("static-lengths", 60, 122), ("chunks-packed", 3, 59)],
+)
+def test_a_budget(name: str, budget: int, kept: int, browser: Chromium, tmp_path: Path) -> None:
+    """At most so many Gaussians are drawn, and the page says so, and which chunks have none. Those that decode end."""
+    path = _write(tmp_path, (VALID / f"{name}.c3gs").read_bytes())
+    drawn = {}
+    for most in (kept, budget):
+        browser.open(f"{path.as_uri()}?budget={most}")
+        browser.run("c3gs.settle()")
+        drawn[most] = browser.run("c3gs.drawing.count")
+        said = f"The {most:,} most visible of {kept:,} Gaussians" if most < kept else ""
+        assert _text(browser, "#left").startswith(said)
+        assert bool(said) == bool(_text(browser, "#left"))
+        assert browser.run("c3gs.workers.length") == 1
+    assert drawn[budget] <= budget
+    assert drawn[budget] > 0.7 * min(drawn[kept], budget) or name == "chunks-packed"
+    assert ("none of" in _text(browser, "#left")) == (name == "chunks-packed")
+
+
 def test_a_file_that_needs_too_much_memory(browser: Chromium, tmp_path: Path) -> None:
     """Memory of Gaussians counts before it is taken: this file has 5 MB and fewer anchors than the page allows."""
     count, d = 340_000, replace(PLANELESS, offset_count=16, render_width=128)
