@@ -6,7 +6,8 @@
  *
  * It reads FILE from the first byte to the last, and holds one section or one chunk at a time. To be digested, FILE may
  * be a pipe. OUTPUT is written in a second pass, beside its place, and moved there when it is whole. So a run that fails
- * leaves it alone. No output is FILE or another output. POSIX says which names are one file: the rest is ISO C.
+ * leaves it alone. No output is FILE or another output. POSIX says which names are one file, and
+ * has the signal of a file that is too long: the rest is ISO C.
  *
  * The exit status is:
  *
@@ -16,7 +17,7 @@
  *   64  wrong usage, or a failure of input, output or memory
  *
  * PROBES is a trace of probes alone: the numbers of each anchor by name (conformance/README.md). Those before an error
- * are written too. There are 16 MiB at most.
+ * are written too; without any, it is left alone. There are 16 MiB at most.
  *
  * With status 1 or 2 the last line on stderr is {"code": 202, "name": "header.crc", "offset": 300}. The tables of Annex
  * A are read from the file that the environment variable C3GS_TABLES names, or else from tables-0.bin in the folder of
@@ -27,6 +28,7 @@
 #define _XOPEN_SOURCE 700
 #include <ctype.h>
 #include <limits.h>
+#include <signal.h>
 #include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -155,9 +157,14 @@ enum { STATUS_REFUSED = 1, STATUS_UNSUPPORTED = 2, STATUS_USAGE = 64 };
 enum { BLOCKS_MAX = 256 };
 static void *blocks[BLOCKS_MAX]; /* or null pointers */
 
-static FILE *input, *output; /* null pointers if they are not open */
-static char *place, *beside; /* where the output will be, and where it is until it is whole; or null pointers */
-static uint64_t input_at;     /* the bytes that were read of the file */
+static FILE *input, *output, *probes; /* null pointers if they are not open */
+/* where an output will be, and where it is until it is whole; or null pointers */
+static struct outgoing {
+    FILE **file;
+    char *place, *beside;
+} made = {&output, NULL, NULL}, traced = {&probes, NULL, NULL};
+static uint64_t input_at; /* the bytes that were read of the file */
+static uint64_t probed;   /* bytes, no less than were written of probes */
 
 /* not of the specification */
 static void RELEASE_BLOCKS(void)
@@ -174,14 +181,17 @@ static void RELEASE(void)
     RELEASE_BLOCKS();
     if (input)
         fclose(input);
-    if (output)
-        fclose(output);
-    if (beside)
-        remove(beside);
-    free(place);
-    free(beside);
-    input = output = NULL;
-    place = beside = NULL;
+    input = NULL;
+    for (struct outgoing *o = &made; o; o = o == &made ? &traced : NULL) {
+        if (*o->file)
+            fclose(*o->file);
+        if (o->beside)
+            remove(o->beside);
+        free(o->place);
+        free(o->beside);
+        *o->file = NULL;
+        o->place = o->beside = NULL;
+    }
 }
 
 /* not of the specification: ends the program for wrong usage, or for a failure of input, output or memory */
@@ -190,6 +200,17 @@ _Noreturn static void FAIL(const char *message)
     fprintf(stderr, "decoder: %s\n", message);
     RELEASE();
     exit(STATUS_USAGE);
+}
+
+/* not of the specification: an output is whole */
+static void CLOSE_OUTPUT(struct outgoing *o)
+{
+    int wrong = ferror(*o->file) | fclose(*o->file);
+    *o->file = NULL;
+    if (wrong || (o->beside && rename(o->beside, o->place)))
+        FAIL("cannot write");
+    free(o->beside);
+    o->beside = NULL;
 }
 
 /* not of the specification: says again what earlier checks give, where an access or an operation depends on it. A
@@ -206,6 +227,8 @@ _Noreturn static void REFUSE(enum error code, uint64_t offset)
     for (const char *c = registry[i].name; *c; c++)
         putc(*c == '_' && !dot++ ? '.' : tolower((unsigned char)*c), stderr);
     fprintf(stderr, "\", \"offset\": %llu}\n", (unsigned long long)offset);
+    if (probes && probed)
+        CLOSE_OUTPUT(&traced);
     RELEASE();
     exit(registry[i].class == UNSUPPORTED ? STATUS_UNSUPPORTED : STATUS_REFUSED);
 }
@@ -1322,9 +1345,6 @@ static void EMIT(struct part *p, const uint8_t *data, uint64_t n)
 }
 
 /* ---------------------------------------------------------------- probes, not of the specification */
-
-static FILE *probes; /* or a null pointer */
-static uint64_t probed; /* bytes, no less than were written */
 
 enum { PROBES_MAX = 16 << 20, PROBE_NUMBER = 21, PROBE_HEAD = 64 };
 
@@ -2478,37 +2498,26 @@ static void APART(const char *a, const char *b)
 }
 
 /* not of the specification: opens a file beside the output's place, or what is there if it is no ordinary file */
-static void OPEN_OUTPUT(const char *path)
+static void OPEN_OUTPUT(struct outgoing *o, const char *path)
 {
     struct stat found;
     if (!stat(path, &found) && !S_ISREG(found.st_mode)) {
-        output = fopen(path, "wb");
+        *o->file = fopen(path, "wb");
     } else {
-        place = PLACE(path);
-        if ((beside = malloc(strlen(place) + 16)))
-            for (int i = 0; i < 10000 && !output; i++) {
-                strcpy(beside, place);
-                sprintf(strrchr(beside, '/') + 1, ".decoder-%d", i);
-                output = fopen(beside, "wbx");
+        o->place = PLACE(path);
+        if ((o->beside = malloc(strlen(o->place) + 16)))
+            for (int i = 0; i < 10000 && !*o->file; i++) {
+                strcpy(o->beside, o->place);
+                sprintf(strrchr(o->beside, '/') + 1, ".decoder-%d", i);
+                *o->file = fopen(o->beside, "wbx");
             }
-        if (!output) { /* what is there is another's */
-            free(beside);
-            beside = NULL;
+        if (!*o->file) { /* what is there is another's */
+            free(o->beside);
+            o->beside = NULL;
         }
     }
-    if (!output)
+    if (!*o->file)
         FAIL("cannot open the output");
-}
-
-/* not of the specification: the output is whole */
-static void CLOSE_OUTPUT(void)
-{
-    int wrong = ferror(output) | fclose(output);
-    output = NULL;
-    if (wrong || (beside && rename(beside, place)))
-        FAIL("cannot write");
-    free(beside);
-    beside = NULL;
 }
 
 /* not of the specification */
@@ -2518,6 +2527,7 @@ int main(int argc, char **argv)
     int decode = (argc == 4 || argc == 5) && !strcmp(argv[1], "decode");
     if (!decode && (argc != 3 || strcmp(argv[1], "digest")))
         FAIL("usage: decoder digest FILE | decoder decode FILE OUTPUT [PROBES]");
+    signal(SIGXFSZ, SIG_IGN); /* a file that is too long is a failure of output, which leaves nothing behind */
     MAKE_CRC_TABLE();
     LOAD_TABLES(argv[0], &s.section);
     input = fopen(argv[2], "rb");
@@ -2526,23 +2536,20 @@ int main(int argc, char **argv)
     for (int i = 3; i < argc; i++)
         for (int j = 2; j < i; j++)
             APART(argv[i], argv[j]);
-    if (argc == 5 && !(probes = fopen(argv[4], "wb")))
-        FAIL("cannot open the probes");
+    if (argc == 5)
+        OPEN_OUTPUT(&traced, argv[4]);
     DECODE_FILE(&s, !decode);
-    if (probes) {
-        if (ferror(probes) | fclose(probes))
-            FAIL("cannot write");
-        probes = NULL;
-    }
+    if (probes)
+        CLOSE_OUTPUT(&traced);
     if (decode) { /* the file is right, and is decoded again */
         RELEASE_BLOCKS();
         memset(&s, 0, sizeof s);
         input_at = 0;
         if (fseek(input, 0, SEEK_SET))
             FAIL("cannot read the file again");
-        OPEN_OUTPUT(argv[3]);
+        OPEN_OUTPUT(&made, argv[3]);
         DECODE_FILE(&s, 0);
-        CLOSE_OUTPUT();
+        CLOSE_OUTPUT(&made);
     }
     RELEASE();
     if (fflush(stdout) || ferror(stdout))

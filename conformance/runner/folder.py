@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shutil
 import stat
+import subprocess
 import tempfile
 from io import BufferedReader
 from pathlib import Path
@@ -43,4 +45,8 @@ class Folder:
 
     def close(self) -> None:
         """Removes the folder with its contents."""
-        shutil.rmtree(self.path, ignore_errors=True)
+        # rmtree calls itself for each level of a folder that a decoder may have made.
+        with contextlib.suppress(RecursionError):
+            shutil.rmtree(self.path, ignore_errors=True)
+        if self.path.exists():
+            subprocess.run(["rm", "-rf", "--", self.path], stderr=subprocess.DEVNULL, check=False)

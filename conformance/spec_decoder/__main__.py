@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 
 from . import C3GSError, decode
@@ -15,6 +17,20 @@ USAGE = (
     "validate FILE | digest FILE [--parts] | decode FILE OUTPUT [--trace TRACE [--probes]]"
 )
 REJECTED, UNSUPPORTED, USAGE_ERROR = 1, 2, 64
+
+
+def _write(name: str, data: bytes) -> None:
+    """Writes a file beside its place, and moves it there. A pipe or a device is written to. Raises OSError."""
+    place = beside = Path(os.path.realpath(name))
+    if place.is_file() or not place.exists():
+        beside = place.with_name(f".spec-decoder-{os.getpid()}")
+    try:
+        beside.write_bytes(data)
+        os.replace(beside, place)
+    except OSError as error:
+        if beside != place:
+            beside.unlink(missing_ok=True)
+        raise OSError(error.errno, error.strerror, name) from None
 
 
 # SPEC 10.2: a refusal is reported, on stderr and by the exit status as conformance/README.md has it
@@ -42,13 +58,15 @@ def main(arguments: list[str]) -> int:
         if len(set(places)) < len(places) or any(os.path.isfile(p) and os.path.samefile(path, p) for p in places[1:]):
             print("an output is the input, or another output", file=sys.stderr)
             return USAGE_ERROR
-        if trace:
-            with open(trace, "w", encoding="utf-8", newline="\n") as file, watched(file, probed):
+        lines = io.StringIO()
+        try:
+            with watched(lines, probed) if trace else nullcontext():
                 decoded = decode(data)
-        else:
-            decoded = decode(data)
+        finally:
+            if lines.tell():
+                _write(trace, lines.getvalue().encode())
         if command == "decode":
-            Path(output).write_bytes(decoded.reconstruction)
+            _write(output, decoded.reconstruction)
     except C3GSError as error:
         print(error, file=sys.stderr)
         print(json.dumps(error.as_dict()), file=sys.stderr)

@@ -38,6 +38,8 @@ def main(argv: list[str] | None = None) -> int:
 
 def _run(argv: list[str], words: dict[str, Any]) -> int:
     """Runs one command, and prints its result. words: receives the arguments of the function."""
+    if "numpy" not in sys.modules:
+        statuses.check_memory()
     if "numpy" not in sys.modules and argv and argv[0] in _ONE_THREAD:
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     function, arguments = parse(argv)

@@ -20,13 +20,21 @@ const KEPT = 13;
 const STATIC_ANCHOR = 4;
 const STATIC_KEPT = 1;
 
+// A bound, which is Infinity without one. Anything but a number of at least 0 would pass every comparison.
+function bound(options, name) {
+  const { [name]: value = Infinity } = options;
+  if (typeof value === "number" && value >= 0) return value;
+  throw new TypeError(`${name} must be a number of at least 0, not ${String(value)}`);
+}
+
 // options: maxAnchors, maxMemory. header: from readHeader. held: stored anchors. more: further bytes.
-export function checkBounds({ maxAnchors = Infinity, maxMemory = Infinity }, header, held = 0, more = 0) {
+export function checkBounds(options, header, held = 0, more = 0) {
   const h = header;
+  const maxAnchors = bound(options, "maxAnchors");
   if (h.anchor_count > maxAnchors) throw new BoundPassedError("anchors", h.anchor_count, maxAnchors);
   const chunks = h.chunk_count * (CHUNK + (held ? HELD_CHUNK : 0));
   const anchors = held * anchorWidth(h) * HOLDING;
-  checkBytes({ maxMemory }, decoderBytes(h) + chunks + anchors + more);
+  checkBytes(options, decoderBytes(h) + chunks + anchors + more);
 }
 
 const anchorWidth = (h) => attributeChannels(h) + h.offset_count;
@@ -48,6 +56,7 @@ export function gaussiansBytes(header, count, kept) {
 }
 
 // The same for file bytes that are in memory together.
-export function checkBytes({ maxMemory = Infinity }, needed) {
+export function checkBytes(options, needed) {
+  const maxMemory = bound(options, "maxMemory");
   if (needed > maxMemory) throw new BoundPassedError("memory", needed, maxMemory);
 }

@@ -171,7 +171,7 @@ for await (const line of readline.createInterface({ input: process.stdin })) {
   const chunks = [];
   let said;
   try {
-    said = await answer(JSON.parse(line), chunks);
+    said = await answer(JSON.parse(line, (_, value) => (value === "NaN" ? NaN : value)), chunks);
   } catch (error) {
     if (error instanceof C3gsError) said = { error };
     else if (error instanceof BoundPassedError) said = { bound: error.bound, needed: error.needed };

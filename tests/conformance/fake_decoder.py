@@ -62,6 +62,14 @@ def flood(number):
         os.write(number, b"x" * (1 << 20))
 
 
+def dig():
+    """Makes more folders in one another than Python calls itself, with a path that no call of the system takes."""
+    os.chdir(os.environ["TMPDIR"])
+    for _ in range(1500):
+        os.mkdir("deep")
+        os.chdir("deep")
+
+
 def giant(output):
     with output.open("wb") as file:
         while True:
@@ -87,6 +95,8 @@ def main(mode, answers, name, target, *rest):
     if mode in misuse:
         misuse[mode]()
         return 0
+    if mode == "deep-folders":
+        dig()
     if mode == "left-children":
         subprocess.Popen(NAP)
     if mode == "changes-suite":
@@ -142,6 +152,12 @@ def serve(answers):
         }
         text = json.dumps(answer | more.get(a["mode"], {}))
         match a["mode"]:
+            case "deep-folders":
+                dig()
+            case "much-on-stderr":
+                flood(2)
+            case "left-children":
+                subprocess.Popen(NAP)
             case "dies":
                 os.abort()
             case "eats":

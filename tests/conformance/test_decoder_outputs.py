@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import resource
 import subprocess
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -114,6 +115,26 @@ def test_an_output_that_is_there_is_not_touched_by_a_refused_file(decode: Decode
     assert decode(tmp_path / "gone.c3gs", tmp_path / "mine") == USAGE
     assert (tmp_path / "mine").read_text() == "mine"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["bad.c3gs", "mine", "out"]
+
+
+def test_a_second_output_that_is_there_is_not_touched_by_a_file_without_lines(traced: Decoder, tmp_path: Path) -> None:
+    (tmp_path / "bad.c3gs").write_bytes(EXAMPLE[4:])
+    (tmp_path / "mine").write_text("mine")
+    assert traced(tmp_path / "bad.c3gs", tmp_path / "new", tmp_path / "mine") in (REJECTED, USAGE)
+    assert (tmp_path / "mine").read_text() == "mine"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["bad.c3gs", "mine"]
+
+
+def test_a_full_disk_leaves_nothing(decode: Decoder, scene: Path) -> None:
+    """The limit of a file's length stands for it."""
+    (scene.parent / "out").touch()
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))
+    try:
+        assert decode(scene, scene.parent / "out") == USAGE
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert sorted((path.name, path.stat().st_size) for path in scene.parent.iterdir() if path != scene) == [("out", 0)]
 
 
 def test_an_output_is_moved_to_its_place(decode: Decoder, scene: Path) -> None:

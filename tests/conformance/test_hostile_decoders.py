@@ -45,14 +45,15 @@ MODES = {
     **dict.fromkeys(("hang", "hang-in-child", "spins"), LATE),
     "segfault": "crash: ended by SIGSEGV",
     "memory": MEMORY,
-    "left-children": "",
+    **dict.fromkeys(("left-children", "deep-folders"), ""),
     "much-on-stderr": MUCH,
     "output-is-giant": MUCH,
     "output-is-a-link": "crash: its output is not a regular file",
 }
 # The mode of a server for a valid file, and the text of its vector.
 SERVERS = {
-    "right": "",
+    **dict.fromkeys(("right", "left-children", "deep-folders"), ""),
+    "much-on-stderr": MUCH,
     "dies": "crash: ended by SIGABRT",
     "eats": MEMORY,
     "late": LATE,

@@ -141,6 +141,14 @@ def test_bounds_are_those_of_refcodec(decoder: Decoder) -> None:
             assert (answer["bound"], answer["needed"]) == ("anchors", header.anchor_count)
 
 
+@pytest.mark.parametrize("value", ["NaN", -1, "1000", None, True, [5], {}])
+@pytest.mark.parametrize("name", ["maxAnchors", "maxMemory"])
+def test_bounds_that_are_none(decoder: Decoder, name: str, value: object) -> None:
+    for way in ("bytes", "stream", "all", "chunk", "entries", "ancillary", "held"):
+        with pytest.raises(AssertionError, match=f"TypeError: {name} must be a number of at least 0, not "):
+            decoder.ask(FILES["raw"], way, options={name: value}, number=0, size=100)
+
+
 def test_bounds_count_gaussians(decoder: Decoder) -> None:
     """What has been added and what is added next are counted with decoding, before more memory is taken."""
     for name, scene in SCENES.items():
