@@ -157,6 +157,7 @@ def _cameras(source: Path, file: kinds.StrPath | None, size: str, notes: list[st
         return stated_cameras(source, place / CAMERAS_FILE)
     if place.is_dir():
         photographs = stated_photographs(place, size)
+        notes += [f"refcodec: {text}" for text in photographs.notes]
         return [p.camera for p in (*photographs.train, *photographs.test)]
     with open(place) as opened:
         cameras = opened.cameras

@@ -64,7 +64,7 @@ def trained_photographs(
             "does not state which ones training held out; --holdout N compares every N-th one, or all with 0"
         )
     photographs = stated_photographs(folder, size, words["background"], holdout)
-    return photographs.moved(scene_offset(photographs, camera, offset)), notes
+    return photographs.moved(scene_offset(photographs, camera, offset)), [*notes, *photographs.notes]
 
 
 def scene_offset(photographs: PhotographSet, camera: NamedCamera, offset: NDArray[np.float64]) -> NDArray[np.float64]:

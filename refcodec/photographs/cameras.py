@@ -10,6 +10,8 @@ from __future__ import annotations
 
 import os
 import stat
+import unicodedata
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
@@ -64,11 +66,19 @@ UNDISTORTED: Distortion = (0.0,) * len(COEFFICIENTS)
 
 @dataclass(frozen=True, eq=False)
 class Shot:
-    """A posed image of a data set: the file, the camera before undistortion and resizing, its distortion."""
+    """A posed image of a data set: the file, the camera before undistortion and resizing, its distortion.
+
+    masked: whether the data set has a mask of it.
+    """
 
     path: Path
     camera: Camera
     distortion: Distortion = UNDISTORTED
+    masked: bool = False
+
+
+# The suffixes of images, in the order in which they are tried for a name without one, as Blender's files have.
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp")
 
 
 class Names:
@@ -78,11 +88,11 @@ class Names:
         self.folder, self._entries = folder, dict[Path, dict[str, str]]()
 
     def file(self, where: Path | str, key: str, name: str) -> Path:
-        """Returns the file of a name: as stated, or with slashes for backslashes, or in another case.
+        """Returns the file of a name: as stated, or with slashes for backslashes, in another case or form of accents.
 
-        where, key: the place of the name in the data set, and what it is there. If there is no such file, returns the
-        path as stated. Raises PhotographError for a name outside the folder: otherwise an untrusted document could put
-        any picture of this machine into a scene or a page.
+        where, key: the place of the name in the data set, and what it is there. Some programs leave out the suffix of
+        an image. If there is no such file, returns the path as stated. Raises PhotographError for a name outside the
+        folder: otherwise an untrusted document could put any picture of this machine into a scene or a page.
         """
         slashed = PurePosixPath(name.replace("\\", "/"))
         if not slashed.parts or ".." in slashed.parts or slashed.is_absolute():
@@ -92,14 +102,22 @@ class Names:
         # A dangling link is the file that is meant, and it is missing.
         if stated.is_file() or (stated.is_symlink() and not stated.is_dir()):
             return stated
-        place = self.folder
-        for part in slashed.parts:
+        folder = self._below(self.folder, slashed.parts[:-1])
+        places = (self._below(folder, (slashed.name + suffix,)) for suffix in ("", *IMAGE_SUFFIXES))
+        return next((place for place in places if place.is_file()), stated)
+
+    def _below(self, place: Path, parts: Iterable[str]) -> Path:
+        for part in parts:
             if place not in self._entries:
                 names = sorted(os.listdir(place)) if place.is_dir() else []
-                self._entries[place] = {entry.casefold(): entry for entry in names} | {entry: entry for entry in names}
+                self._entries[place] = {_folded(entry): entry for entry in names} | {entry: entry for entry in names}
             entries = self._entries[place]
-            place /= entries.get(part) or entries.get(part.casefold(), part)
-        return place if place.is_file() else stated
+            place /= entries.get(part) or entries.get(_folded(part), part)
+        return place
+
+
+def _folded(name: str) -> str:
+    return unicodedata.normalize("NFC", unicodedata.normalize("NFC", name).casefold())
 
 
 def check_intrinsics(where: Path | str, camera: Camera, distortion: Distortion) -> None:

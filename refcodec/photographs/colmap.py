@@ -20,6 +20,7 @@ import numpy as np
 
 from .cameras import (
     F64,
+    IMAGE_SUFFIXES,
     U8,
     UNDISTORTED,
     Camera,
@@ -53,7 +54,6 @@ MODEL_IDS = (
     *("SIMPLE_DIVISION", "DIVISION", "SIMPLE_FISHEYE", "FISHEYE", "EUCM", "EQUIRECTANGULAR"),
 )
 PARTS = ("cameras", "images", "points3D")
-IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".bmp")
 # Smallest records of the binary files, in bytes: counts are compared with the rest of the file.
 CAMERA_HEAD, IMAGE_HEAD, POINT_HEAD = struct.Struct("<IiQQ"), struct.Struct("<I7dI"), struct.Struct("<Q3d3BdQ")
 SMALLEST = {"cameras": CAMERA_HEAD.size, "images": IMAGE_HEAD.size + 1 + 8, "points3D": POINT_HEAD.size}
@@ -203,8 +203,7 @@ def _supported(where: str, model: str) -> None:
 def _cloud(file: Path, rows: list[tuple[float, ...]]) -> tuple[F64, U8]:
     """Returns rows of x, y, z, red, green, blue as float64 [M, 3] and uint8 [M, 3]."""
     table = np.array(rows, np.float64).reshape(-1, 6)
-    if not np.isfinite(table).all():
-        raise PhotographError(file, "a point is NaN or infinite", "remove it, or export the model again")
+    # Points that are NaN or infinite are left out later (far_points).
     if ((table[:, 3:] < 0) | (table[:, 3:] > 255)).any():
         raise PhotographError(file, "a colour is outside 0 to 255", RERUN)
     return table[:, :3].copy(), table[:, 3:].astype(np.uint8)

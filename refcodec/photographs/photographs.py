@@ -6,9 +6,10 @@ PhotographError.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from math import inf
 from pathlib import Path
 
 import numpy as np
@@ -52,6 +53,8 @@ WHITE, BLACK = (255, 255, 255), (0, 0, 0)
 # Points are outliers beyond so many times the size of the scene: the median distance of the cameras from their middle,
 # or the distance from there of this share of the points, if that is more. So a sky of many points is none.
 OUTLYING, BULK = 100, 0.95
+# The longest side of a camera is at most so many times that of its image, whose shape could otherwise be any.
+LEAST = 16
 MASKS = "masks"
 
 
@@ -179,8 +182,7 @@ def read_photographs(
                 folder, f"no image is left for training: {len(test_shots)} are held out", "give two images or more"
             )
         over = background or (WHITE if any(is_transparent(shot.path) for shot in (*shots, *test_shots)) else BLACK)
-        if (folder / MASKS).is_dir():
-            notes.append(f"{folder / MASKS} is not used: make pixels transparent to exclude them")
+        notes += _unused(folder, [*shots, *test_shots], size)
         train, test = _photographs(shots, size, over), _photographs(test_shots, size, over)
     except OSError as error:
         raise PhotographError(
@@ -188,23 +190,43 @@ def read_photographs(
         ) from None
     made = PhotographSet(train, test, points, colours, skipped, over, random)
     near, more = far_points(points, made.centres)
+    if not near.any():
+        raise PhotographError(folder, f"{more[0]}, and none is left", "estimate the points and the poses again")
     return replace(made, points=points[near], colours=colours[near], notes=(*notes, *more))
+
+
+def _unused(folder: Path, shots: list[Shot], size: Size) -> Iterator[str]:
+    """Yields notes on masks, and on images that are smaller than the others, compared with their cameras."""
+    masked = f"the mask_path of {sum(shot.masked for shot in shots)} frames" if any(s.masked for s in shots) else ""
+    if masked or (folder / MASKS).is_dir():
+        yield f"{masked or folder / MASKS} is not used: make pixels transparent to exclude them"
+    sides = [max(image_size(shot.path)) for shot in shots]
+    shares = [side / max(shot.camera.width, shot.camera.height) for side, shot in zip(sides, shots, strict=True)]
+    needed = inf if size is None else size if isinstance(size, int) else max(size)
+    if small := [i for i, side in enumerate(sides) if side < needed and shares[i] < 0.9 * max(shares)]:
+        what = f"{counted(len(small), 'image')} of {len(shots)} smaller than the others for the size of their cameras"
+        yield f"{what}, such as {shots[small[0]].path}: they blur the scene, restore or remove them"
 
 
 def far_points(points: F64, centres: F64) -> tuple[NDArray[np.bool_], list[str]]:
     """Returns whether points [M, 3] belong to a scene with cameras at centres [n, 3], bool [M], and a note if not all.
 
-    Reconstructions have a few points that are far from all others. They would decide the extent of the scene.
+    Reconstructions have a few points that are far from all others, or NaN or infinite. They would decide the extent of
+    the scene.
     """
     if not len(points):
         return np.ones(0, bool), []
-    with np.errstate(over="ignore"):
+    with np.errstate(over="ignore", invalid="ignore"):
         middle = np.median(centres, axis=0)
-        away, around = (np.linalg.norm(places - middle, axis=1) for places in (points, centres))
-    size = max(float(np.median(around)), float(np.quantile(away, BULK, method="lower")))
-    near = (away <= OUTLYING * size) | (size == 0)
-    text = f"{counted(int((~near).sum()), 'point')} of {len(points)} left out, up to {away.max():.3g} units away: "
-    return near, [] if near.all() else [f"{text}more than {OUTLYING} times the size of the scene"]
+        away, around = (np.nan_to_num(np.linalg.norm(p - middle, axis=1), nan=inf) for p in (points, centres))
+        size = max(float(np.median(around)), float(np.quantile(away, BULK, method="lower")))
+    finite = np.isfinite(away)
+    near = finite & ((away <= OUTLYING * size) | (size == 0))
+    why = [] if finite.all() else ["NaN or infinite"]
+    if (far := away[finite & ~near]).size:
+        why.append(f"up to {far.max():.3g} units away: more than {OUTLYING} times the size of the scene")
+    text = f"{counted(int((~near).sum()), 'point')} of {len(points)} left out, {' or '.join(why)}"
+    return near, [text] if why else []
 
 
 def _photographs(shots: Iterable[Shot], size: Size, background: Colour) -> tuple[Photograph, ...]:
@@ -215,15 +237,16 @@ def _photograph(shot: Shot, size: Size, background: Colour) -> Photograph:
     """Returns the pinhole camera of the given size, and the function that makes its image. Raises PhotographError."""
     stated = shot.camera
     width, height = image_size(shot.path)
-    if not same_aspect(width, height, stated.width, stated.height):
-        turned = same_aspect(height, width, stated.width, stated.height)
+    large = LEAST * max(width, height) >= max(stated.width, stated.height)
+    if not (large and same_aspect(width, height, stated.width, stated.height)):
+        turned = large and same_aspect(height, width, stated.width, stated.height)
         raise PhotographError(
             shot.path,
             f"the image has {width} x {height} pixels, its camera {stated.width} x {stated.height}: "
-            "not the same shape within a pixel",
+            f"not the same shape within a pixel, or less than 1/{LEAST}",
             "the file was rotated after its pose was estimated: restore it as it was"
             if turned
-            else "restore the image that the camera was estimated from, or a version of it in another size",
+            else f"restore the image that the camera was estimated from, or one at least 1/{LEAST} of its size",
         )
     photographed = stated.resized(width, height)
     camera = (

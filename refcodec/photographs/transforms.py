@@ -31,8 +31,6 @@ from .cameras import (
 from .images import image_size
 
 SINGLE, TRAIN, TEST = "transforms.json", "transforms_train.json", "transforms_test.json"
-# Suffixes tried in turn after a file_path, which has none in Blender's files.
-SUFFIXES = ("", ".png", ".jpg", ".jpeg", ".JPG", ".PNG")
 MODELS = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV")
 POINT_FILES = ("points3d.ply", "points3D.ply")
 # The number of initial points of 3DGS for NeRF's synthetic scenes.
@@ -139,9 +137,6 @@ def _frames(file: Path, document: dict[str, Any]) -> tuple[list[Shot], int]:
         if frame.transform_matrix is None:
             skipped += 1
             continue
-        if frame.mask_path is not None:
-            advice = "remove mask_path, and cut out what should not be seen as transparency of the images"
-            raise PhotographError(where, "it has a mask_path, but masks are not supported", advice)
         shot = _shot(where, found, frame)
         if shot.camera.name in names:
             raise PhotographError(where, f"two images are named {shot.camera.name!r}", "give each image its own name")
@@ -151,9 +146,7 @@ def _frames(file: Path, document: dict[str, Any]) -> tuple[list[Shot], int]:
 
 
 def _shot(where: str, folder: Names, frame: TransformsFrame) -> Shot:
-    places = (folder.file(where, "file_path", f"{frame.file_path}{suffix}") for suffix in SUFFIXES)
-    path = next((p for p in places if p.is_file() or (p.is_symlink() and not p.is_dir())), None)
-    path = path or folder.folder / frame.file_path
+    path = folder.file(where, "file_path", frame.file_path)
     # The name of an image is also that of its output file.
     name = "/".join(PurePosixPath(frame.file_path.replace("\\", "/")).parts)
     # Some programs write sides as 800.0. Missing ones are those of the image.
@@ -168,7 +161,7 @@ def _shot(where: str, folder: Names, frame: TransformsFrame) -> Shot:
     rotation, translation = _pose(where, frame.transform_matrix)
     camera = Camera(name, width, height, fx, fy, cx, cy, rotation, translation)
     check_intrinsics(where, camera, distortion)
-    return Shot(path, camera, distortion)
+    return Shot(path, camera, distortion, frame.mask_path is not None)
 
 
 def _distortion(where: str, frame: TransformsFrame) -> Distortion:
@@ -238,8 +231,6 @@ def read_points(file: Path) -> tuple[F64, U8]:
         raise PhotographError(
             file, "there are no points", f"remove the file: {RANDOM_POINTS} points are then drawn at random"
         )
-    if not np.isfinite(points).all():
-        raise PhotographError(file, "a point is NaN or infinite", advice)
     return points, colours
 
 

@@ -65,9 +65,10 @@ def read_points(path: str | Path) -> PointCloud:
     stated, colours = (readers.get(path.suffix) or _read_archive)(path)
     if stated.shape != colours.shape or stated.ndim != 2 or stated.shape[1] != 3:
         raise ValueError(f"{path}: points {stated.shape} and colours {colours.shape} are not both [M, 3]")
-    if not np.isfinite(stated).all():
-        raise ValueError(f"{path}: a point is NaN or infinite")
-    near, notes = far_points(stated, stated)
+    finite = np.isfinite(stated).all(axis=1)
+    if not finite.any():
+        raise ValueError(f"{path}: it has no points, or all are NaN or infinite: write them again")
+    near, notes = far_points(stated, stated[finite])
     offset = far_offset(stated[near])
     if offset.any():
         notes.append(f"far from the world's origin for its size: {offset.tolist()} is subtracted from all places")

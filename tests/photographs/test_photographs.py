@@ -50,6 +50,9 @@ MODEL_IDS = {
 # --- datasets ---------------------------------------------------------------------------------------------------------
 
 
+NAN, INF = float("nan"), float("inf")
+
+
 def model(count=COUNT, camera=PINHOLE, seed=0):
     """cameras {id: (model, width, height, parameters)}, images, points.
 
@@ -244,6 +247,8 @@ def with_points(*places):
     [
         (renamed(lambda name: f"Left/{name.upper()}", lambda name: f"left\\{name}"), []),
         (renamed(str.upper, str), []),
+        (renamed(lambda name: f"Stra\u00dfe \u00e9 {name}", lambda name: f"STRASSE e\u0301 {name}"), []),
+        (renamed(str, lambda name: name.removesuffix(".png")), []),
         (lambda folder: (folder / "masks").mkdir(), ["masks is not used: make pixels transparent"]),
         (lambda folder: write_text(folder / "sparse/1", *model(3, seed=1)), ["1 with 3 images is not used"]),
         (
@@ -251,6 +256,8 @@ def with_points(*places):
             ["0 with 2 images is not used", "12 has 10"],
         ),
         (with_points((1e3, 0, 0)), ["1 point of 26 left out, up to 1e+03 units away"]),
+        (with_points((0, NAN, 0)), ["1 point of 26 left out, NaN or infinite"]),
+        (with_points((0, NAN, 0), (0, 9e7, 0)), ["2 points of 27 left out, NaN or infinite or up to 9e+07"]),
         (with_points((0, -1e6, 0), (0, 9e7, 0)), ["2 points of 27 left out, up to 9e+07"]),
         (with_points((0, 1e3, 0), (1, 1e3, 0), (2, 1e3, 0)), None),
     ],
@@ -271,6 +278,16 @@ def test_folders_of_other_programs(made_so, noted, tmp_path):
         assert len(taken.points) == POINTS
         assert all(words in " ".join(taken.notes) for words in noted)
         assert bool(noted) == bool(taken.notes)
+
+
+def test_notes_on_masks_and_small_images(nerf):
+    change(nerf, lambda d: [d["frames"][1].update(mask_path="masks/r_1.png"), d.update(w=40, h=30)])
+    Image.fromarray(pixels(2, 20, 15)).save(nerf / "images/r_2.png")
+    assert [len(read_photographs(nerf, size).notes) for size in (None, 20, (20, 15))] == [2, 1, 1]
+    masked, small = read_photographs(nerf).notes
+    assert masked.startswith("the mask_path of 1 frames is not used")
+    assert small.startswith("1 image of 10 smaller than the others")
+    assert "r_2.png" in small
 
 
 def test_coordinates_of_a_map(tmp_path):
@@ -890,7 +907,7 @@ def turned_into_a_folder(folder):
 
 
 ROW, PARAMETERS = "7 PINHOLE 40 30 35.5 36.25 20.5 14.75\n", "PINHOLE 40 30 35.5 36.25 20.5 14.75"
-GRID, NAN, INF = np.arange(12.0).reshape(4, 3), float("nan"), float("inf")
+GRID = np.arange(12.0).reshape(4, 3)
 MANY = "ply\nformat binary_little_endian 1.0\nelement vertex 99999999999999\nproperty float x\nend_header\n"
 OUTSIDE = ("../images/r_1", "images/../../r_1", "/images/r_1", "")
 DEEP = np.full((HEIGHT, WIDTH), 40000, np.uint16)
@@ -937,7 +954,6 @@ ENTRIES = [
     # A document of others could have any picture of this machine put into a scene.
     *(("ply_file_path", name, None, "ply_file_path", repr(name), "file in the folder") for name in OUTSIDE),
     *(("file_path", name, 0, "frame 0", "file_path", repr(name), "file in the folder") for name in OUTSIDE),
-    ("mask_path", "masks/r_1.png", 1, "frame 1", "mask_path", "masks are not supported"),
     ("camera_angle_x", 0, None, "camera_angle_x is 0"),
     ("camera_angle_x", 4, None, "camera_angle_x is 4"),
     ("camera_angle_x", NAN, None, "transforms.json", "a number is nan"),
@@ -976,6 +992,7 @@ PICTURES = [
     (lambda file: Image.fromarray(DEEP).save(file), "format is I", "8 bits"),
     (lambda file: Image.fromarray(pixels(0, 40, 28)).save(file), "not the same shape", "40 x 28"),
     (lambda file: Image.fromarray(pixels(0, 30, 40)).save(file), "not the same shape", "rotated"),
+    (lambda file: Image.fromarray(pixels(0, 1, 1)).save(file), "the image has 1 x 1", "less than 1/16"),
     (lambda file: Image.fromarray(pixels(0, 80, 63)).save(file), "not the same shape", "40 x 30"),
 ]
 # What is wrong in a COLMAP folder, in text or binary or both, or in a NeRF folder, and words of the error.
@@ -992,7 +1009,6 @@ FAULTS = [
     *(("text", written(quaternion=[1, v, 0, 0]), "images.txt, line 10", "NaN") for v in (NAN, INF)),
     ("text", written(translation=[1, NAN, 0]), "images.txt, line 10", "NaN"),
     ("text", written(quaternion=[0, 0, 0, 0]), "images.txt, line 10", "0 0 0 0"),
-    ("text", written(point=[0, INF, 0]), "points3D.txt", "NaN or infinite"),
     *(("text", written(colour=[0, v, 0]), "points3D.txt", "outside 0 to 255") for v in (256, -1)),
     ("text", written(colour=[0, 10**400, 0]), "points3D.txt, line 5", "too large"),
     *(("binary", in_bytes(*row[:3]), *row[3:]) for row in BYTES),
@@ -1001,7 +1017,7 @@ FAULTS = [
     ("nerf", cloud(), "cloud.ply", "ply_file_path", "missing"),
     ("nerf", cloud(GRID, GRID, "f4"), "cloud.ply", "float32, but must be uint8"),
     ("nerf", cloud(GRID[:0]), "cloud.ply", "there are no points"),
-    ("nerf", cloud(GRID * NAN), "cloud.ply", "NaN"),
+    ("nerf", cloud(GRID * NAN), "4 points of 4 left out, NaN", "none is left"),
     ("nerf", lambda f: (f / "points3d.ply").write_text(MANY), "points3d.ply", "not a readable point cloud"),
     ("nerf", in_json(lambda d: [f.pop("transform_matrix") for f in d["frames"]]), "no image has a pose", "transform_m"),
     ("nerf", in_json(lambda d: d.pop("frames")), 'no list "frames"'),
