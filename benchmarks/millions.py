@@ -34,8 +34,8 @@ NOTE = (
     "Processor seconds, one thread each. Decoding ends with float32 arrays; medians of three rounds. MiB: the largest",
     "resident memory of coding; bytes a Gaussian: what it is above that of the smallest file. Copies lie over each",
     "other: the more there are, the finer their positions are for equal pictures, and the more bytes each has. SPZ has",
-    "one precision. Coding, decoding and memory grow in proportion: 10^8 Gaussians would take 100 minutes and 93 GiB, and",
-    "are several files, as tiles, because a file has at most 67,108,864 anchors.",
+    "one precision. Coding, decoding and memory grow in proportion: 10^8 Gaussians would take 100 minutes and 93 GiB,",
+    "and are several files, as tiles, because a file has at most 67,108,864 anchors.",
 )
 DISTURBED = 0.001
 # Prints the processor seconds of SPZ coding, or of decoding, without the start of the process.
