@@ -10,19 +10,24 @@ from ..bitstream.dimensions import STATIC
 from ..bitstream.reconstruction import gaussians, reconstruct
 from ..bitstream.scene import Scene, take_anchors
 from ..bitstream.splat import LENGTHS, LOGIT, derive_rendering
+from .positions import morton_order
 
 # A layer has three times the anchors of all layers before it, and the first one at least so many.
 LEAST = 400
+# Anchors around one along the curve, and the power of their mean area that its own is divided by (own measurement).
+AROUND, LOCAL = 16, 0.75
 # Anchors of a block.
 BLOCK = 1 << 16
 
 
+@np.errstate(over="ignore", invalid="ignore")
 def coarse_layers(scene: Scene) -> Int64:
     """SPEC B.1: returns the layer of each anchor, int64 [N], 0 for the first one.
 
-    The anchors whose Gaussians cover the largest area come first. The area of a Gaussian is the product of its two
-    longest axes and, in a static scene, of its opacity. That of an anchor whose Gaussians depend on the view is by its
-    scalings and the number of its kept offsets.
+    The anchors whose Gaussians cover the largest area come first, in relation to the anchors around them: otherwise
+    regions of small Gaussians would stay empty. The area of a Gaussian is the product of its two longest axes and, in a
+    static scene, of its opacity. That of an anchor whose Gaussians depend on the view is by its scalings and the number
+    of its kept offsets.
     """
     static, area = scene.render.render_model == STATIC, np.empty(scene.anchor_count)
     networks = derive_rendering(scene.networks) if static else None
@@ -37,10 +42,15 @@ def coarse_layers(scene: Scene) -> Int64:
             own = np.exp(np.sort(reconstruct(part).scalings[:, 3:].astype(np.float64), axis=1)[:, 1:].sum(axis=1))
             own *= part.masks.sum(axis=1)
         area[block.start : block.stop] = own
+    order = morton_order(scene.positions)
+    area = area[order]
+    around = np.convolve(np.append(area, 0), np.full(AROUND, 1 / AROUND))[AROUND // 2 :][: len(area)]
+    area /= np.maximum(around, 1e-300) ** LOCAL
     rank = np.empty(len(area), np.int64)
-    rank[np.argsort(-area, kind="stable")] = np.arange(len(area))
+    rank[order[np.argsort(-area, kind="stable")]] = np.arange(len(area))
     ends = [len(area)]
     while ends[0] // 4 >= LEAST:
-        ends.insert(0, ends[0] // 4)
+        quarter, whole = ends[0] // 4, scene.chunk_size
+        ends.insert(0, quarter // whole * whole or quarter)
     layers: Int64 = np.searchsorted(ends, rank, side="right")
     return layers

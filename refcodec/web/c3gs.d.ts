@@ -328,6 +328,11 @@ export class Gaussians {
   /** The same for all anchors that were added. */
   all(from: Viewpoint, out?: View): View;
   /**
+   * Makes the Gaussians of `all` longer where chunks are missing, and returns the view: so a part of a file that is
+   * coarse first shows no gaps (SPEC.md E.2). Draw the view of all chunks as it is.
+   */
+  enlarge(view: View): View;
+  /**
    * The plain Gaussians of all anchors that were added, as new arrays. Throws RenderModelError if header.render_model
    * is not 1.
    */

@@ -165,6 +165,33 @@ export class Gaussians {
     return whole;
   }
 
+  // SPEC E.2
+  enlarge(view) {
+    const { positions: p, scales: l, count } = view;
+    const least = this.anchorCount / this.scene.header.anchor_count;
+    const there = new Set(this.chunks.map(({ number }) => number));
+    const boxes = Array.from(this.scene.entries(), ({ number, count, low, high }) => {
+      const sides = Array.from(high, (x, i) => x - low[i]);
+      const side = Math.max(...sides) * 1e-3 || 1;
+      return { low, high, has: there.has(number), density: sides.reduce((d, x) => d / Math.max(x, side), count) };
+    });
+    const area = (i) => Math.max(l[i] * l[i + 1], l[i + 1] * l[i + 2], l[i + 2] * l[i]);
+    const middle = Float64Array.from({ length: count }, (_, i) => area(3 * i)).sort()[count >> 1];
+    for (let i = 0; i < 3 * count; i += 3) {
+      let [here, all] = [0, 0];
+      const [x, y, z] = [p[i], p[i + 1], p[i + 2]];
+      for (const { low, high, has, density } of boxes) {
+        if (x < low[0] || x > high[0] || y < low[1] || y > high[1] || z < low[2] || z > high[2]) continue;
+        all += density;
+        if (has) here += density;
+      }
+      const share = Math.max(least, all > 0 ? here / all : 0);
+      const factor = Math.sqrt(1 + (1 / Math.sqrt(share) - 1) * Math.sqrt(middle / area(i)));
+      for (let axis = 0; axis < 3 && factor < Infinity; axis++) l[i + axis] *= factor;
+    }
+    return view;
+  }
+
   slotOf(anchor) {
     const right = Number.isSafeInteger(anchor) && anchor >= 0 && anchor <= this.anchorCount;
     if (!right) throw new RangeError(`there is no anchor ${anchor}: ${this.anchorCount} were added`);

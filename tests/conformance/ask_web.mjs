@@ -134,6 +134,11 @@ async function answer({ file, way, number, options, ...rest }, chunks) {
   if (way === "held") return held(bytes, options);
   if (way === "views") return views(bytes, rest.place);
   if (way === "plain") return plain(bytes);
+  if (way === "enlarged") {
+    const gaussians = new Gaussians(await open(bytes));
+    for (let i = 0; i < rest.there; i++) gaussians.add(await gaussians.scene.chunk(i));
+    return { before: [seen(gaussians.all(rest.place))], after: [seen(gaussians.enlarge(gaussians.all(rest.place)))] };
+  }
   if (way === "drawing") return drawing(bytes);
   if (way === "ancillary") {
     const scene = await open(bytes, options);

@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from random_scenes import random_scene
 from web_program import MISSING, NODE, PROGRAM, Decoder
 
+from benchmarks.coarse import enlarged
 from conformance.cases import static
 from conformance.cases.scenes import MAIN_DIMENSIONS
 from conformance.manifest import VECTORS, load
@@ -28,6 +29,8 @@ from refcodec.bitstream.reconstruction import digest, reconstruct
 from refcodec.bitstream.reconstruction import gaussians as splat_of
 from refcodec.bitstream.scene import Ancillary, Scene
 from refcodec.bitstream.splat import HARMONICS, LENGTHS, LOGIT, MEAN, QUATERNION
+from refcodec.encoder.layers import coarse_layers
+from refcodec.encoder.positions import pack_positions
 from refcodec.rendering.camera import Camera, default_camera
 from refcodec.rendering.gaussians import Gaussians, gaussians, gaussians_document
 
@@ -133,6 +136,18 @@ def test_plain_gaussians_are_those_of_the_reference(decoder: Decoder, degree: in
         own = [arrays.pop(f"{name}_{i}") for i in range(columns.shape[1])]
         assert all(np.allclose(a[:, 0], b, rtol=1e-5, atol=1e-5) for a, b in zip(own, columns.T, strict=True))
     assert set(arrays) == {"positions", "scales", "rotations", "opacities", "harmonics", "x", "y", "z", "opacity"}
+
+
+def test_gaussians_of_a_part_are_enlarged_as_e2_advises(decoder: Decoder) -> None:
+    """Those of the first chunks by what is missing around them, and those of a whole scene not at all."""
+    trained = codec.parse((VECTORS / "valid" / "trained-snowmiku.c3gs").read_bytes()).scene
+    scene = codec.parse(codec.emit(pack_positions(trained, coarse_layers(trained)))).scene
+    for there in range(1, len(scene.chunks) + 1):
+        answer = decoder.ask(codec.emit(scene), "enlarged", place=[0.0, 0.0, 0.0], there=there)
+        before, after = seen(answer["before"]), seen(answer["after"])
+        assert np.allclose(after.lengths, enlarged(before, scene, there).lengths, rtol=1e-5, atol=0)
+        longer = (after.lengths > before.lengths).all(axis=1)
+        assert longer.any() == (there < len(scene.chunks))
 
 
 def _columns(splats: Gaussians) -> list[Any]:
