@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import mmap
+from collections.abc import Iterator, Mapping
 
 # Done; the file is accepted; the decoder under test is right.
 DONE = 0
@@ -55,3 +57,19 @@ class UsageError(ValueError):
 
     def __init__(self, text: str) -> None:
         super().__init__(text)
+
+
+@contextlib.contextmanager
+def refusing(what: str = "", others: Mapping[type[Exception], str] | None = None) -> Iterator[None]:
+    """Makes a ValueError of the block a UsageError.
+
+    what: states what is refused, before the reason. others: the same for some errors, of which any may be there.
+    """
+    stated: dict[type[Exception], str] = {**(others or {}), ValueError: what}
+    try:
+        yield
+    except UsageError:
+        raise
+    except tuple(stated) as error:
+        text = next(text for kind, text in stated.items() if isinstance(error, kind))
+        raise UsageError(f"{text}: {error}" if text else str(error)) from None

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Literal, Unpack, overload
 from ..files.outputs import Kind
 from ..files.stage import Stage, write_file
 from ..files.text import counted, printable
-from ..statuses import DONE, INTERRUPTED, UsageError
+from ..statuses import DONE, INTERRUPTED, UsageError, refusing
 from . import kinds
-from .command import ReadingWords, Report, command, only_one, refusing
+from .command import ReadingWords, Report, command, only_one
 
 if TYPE_CHECKING:
     from ..bitstream.bounds import Limits

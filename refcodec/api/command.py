@@ -295,22 +295,6 @@ def command(
     return decorate
 
 
-@contextlib.contextmanager
-def refusing(what: str = "", others: Mapping[type[Exception], str] | None = None) -> Iterator[None]:
-    """Makes a ValueError of the block a UsageError.
-
-    what: states what is refused, before the reason. others: the same for some errors, of which any may be there.
-    """
-    stated: dict[type[Exception], str] = {**(others or {}), ValueError: what}
-    try:
-        yield
-    except UsageError:
-        raise
-    except tuple(stated) as error:
-        text = next(text for kind, text in stated.items() if isinstance(error, kind))
-        raise UsageError(f"{text}: {error}" if text else str(error)) from None
-
-
 def is_given(value: object) -> bool:
     """Whether a word has another value than None, False and (), which stand for none. 0 is one."""
     return value is not None and value is not False and value != ()

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Unpack
 from ..files.lock import errors_of
 from ..files.stage import folder_beside, write_file
 from ..files.text import counted, shell_word
-from ..statuses import DONE, INTERRUPTED, UsageError
+from ..statuses import DONE, INTERRUPTED, UsageError, refusing
 from . import kinds
-from .command import Report, Word, command, is_given, refusing
+from .command import Report, Word, command, is_given
 from .learning import TrainingWords, run_training
 
 if TYPE_CHECKING:

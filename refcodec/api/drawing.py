@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Unpack
 from ..files.outputs import Kind
 from ..files.stage import write_file
 from ..files.text import counted, printable
-from ..statuses import UsageError
+from ..statuses import UsageError, refusing
 from . import kinds
-from .command import ReadingWords, Report, command, refusing
+from .command import ReadingWords, Report, command
 
 if TYPE_CHECKING:
     from ..rendering.camera import Camera

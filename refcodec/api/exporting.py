@@ -12,9 +12,9 @@ from ..export import DEGREE, ITERATIONS, VIEWERS
 from ..files.outputs import check_apart, check_file
 from ..files.stage import Stage, write_file
 from ..files.text import counted
-from ..statuses import UsageError
+from ..statuses import UsageError, refusing
 from . import kinds
-from .command import ReadingWords, Report, command, refusing
+from .command import ReadingWords, Report, command
 
 if TYPE_CHECKING:
     from ..bitstream.batches import Progress

@@ -8,9 +8,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict, Unpack
 
-from ..statuses import INTERRUPTED, UsageError
+from ..statuses import INTERRUPTED, UsageError, refusing
 from . import kinds
-from .command import Report, command, refusing
+from .command import Report, command
 
 if TYPE_CHECKING:
     from ..photographs.photographs import PhotographSet

@@ -26,8 +26,8 @@ from ..folder.places import COPIES, SPLAT_COPIES, check_cloud, progress_bar, rea
 from ..folder.read import read_folder
 from ..folder.uncompressed import Uncompressed, is_uncompressed, read_uncompressed
 from ..rendering.camera import scene_up
-from ..statuses import UsageError
-from .command import ReadingWords, refusing
+from ..statuses import UsageError, refusing
+from .command import ReadingWords
 from .scenes import Scene
 
 if TYPE_CHECKING:

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any, BinaryIO, Unpack
 
 from ..files.outputs import check_apart
 from ..files.stage import write_file
+from ..statuses import refusing
 from . import kinds
-from .command import ReadingWords, Report, command, refusing
+from .command import ReadingWords, Report, command
 
 if TYPE_CHECKING:
     from .scenes import Scene

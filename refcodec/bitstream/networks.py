@@ -39,7 +39,7 @@ class BoundError(ValueError):
         self.row, self.layer = row, layer
         self.found = f"row {row}, which exceeds a bound at every exponent"
         self.allowed = f"rows within the bounds at an exponent from 0 to {EXPONENT_MAX}"
-        super().__init__(f"{layer}: found {self.found}, allowed {self.allowed} (SPEC.md 7.2)")
+        super().__init__(f"weights of the network layer {layer}, row {row}, are too large for 32-bit integers")
 
 
 @dataclass(frozen=True)

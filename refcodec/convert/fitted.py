@@ -6,7 +6,7 @@ from pathlib import Path
 
 from ..bitstream.batches import Progress
 from ..bitstream.scene import Scene
-from ..statuses import UsageError
+from ..statuses import refusing
 from ..train.fit import fit
 from ..train.fit_input import read_given
 from ..train.settings import FitSettings
@@ -21,14 +21,10 @@ def fitted_scene(folder: Path, lambda_r: float | None, steps: int | None, progre
     """
     changes = {"lambda_r": lambda_r, "steps": steps}
     settings = varied(FitSettings(), {name: value for name, value in changes.items() if value is not None})
-    try:
+    with refusing(f"{folder} cannot be fitted"):
         given = read_given(folder)
         result = fit(given, settings, progress=progress)
         scene, done = on_grids(result.scene, given.cloud), result.report["steps"]
-    except UsageError:
-        raise
-    except ValueError as error:
-        raise UsageError(f"{folder} cannot be fitted: {error}") from None
     if done == settings.steps or not scene.anchor_count:
         return scene, ""
     return scene, f"stopped at step {done} of {settings.steps}; the file is written, but larger than necessary"

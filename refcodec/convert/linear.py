@@ -65,9 +65,8 @@ def network(steps: F64, basis: F64, middle: F64, inputs: I64, count: int, width:
         if len(fitting) == len(rows):
             break
     else:
-        raise ValueError(
-            "numbers of the Gaussians are too far apart for integer networks (SPEC.md 7.2): remove outliers"
-        )
+        what = f"sizes, colours or harmonics of some Gaussians, up to {np.abs(middle).max():.3g}, are too far from"
+        raise ValueError(f"{what} those of the others: remove them in an editor of splats, or convert without --fast")
     first, bias = np.zeros((width, count), np.float32), np.zeros(width, np.float32)
     for k in range(classes):
         units = np.arange(k * m, (k + 1) * m)

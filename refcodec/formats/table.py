@@ -26,8 +26,9 @@ F64 = NDArray[np.float64]
 
 # Logits and logarithms beyond these have no effect in float32.
 LOGIT_MAX, LOGARITHM_MAX = 20.0, 40.0
-# The largest coordinate and the largest coefficient. Squares of larger ones overflow float32, or nearly so.
-LARGEST = {"mean": 1e9, "base": 1e9, "rest": 1e9}
+# The largest coordinate, length and coefficient. Squares of larger ones overflow float32, or nearly so.
+LARGEST = 1e9
+_WRONG = f"a number that is NaN, infinite or beyond {LARGEST:g}"
 
 
 @dataclass(frozen=True)
@@ -146,28 +147,27 @@ def read_located(file: Path, offset: F64 | None, note: Callable[[str], None] = l
 def _checked(splats: Splats) -> Splats:
     """Returns Gaussians with bounded logits and logarithms, without those that have no place or no shape.
 
-    Raises ContentError if none is left, and for other numbers out of range.
+    Raises ContentError if none is left.
     """
     finite = np.ones(len(splats.mean), bool)
     for name, values in vars(splats).items():
         # Logits and logarithms of infinity have a meaning.
-        wrong = np.isnan(values) if name in ("opacity", "scale") else ~np.isfinite(values)
-        finite &= ~wrong.reshape(len(values), -1).any(axis=1)
+        right = ~np.isnan(values) if name in ("opacity", "scale") else np.isfinite(values)
+        if name in ("mean", "base", "rest"):
+            right &= np.abs(values) <= LARGEST
+        finite &= right.reshape(len(values), -1).all(axis=1)
     turned = (splats.quaternion != 0).any(axis=1)
     if not (finite & turned).any():
-        raise ContentError("each of its Gaussians has a number that is NaN or infinite, or a quaternion of 0")
-    for rows, what in ((finite, "a number that is NaN or infinite"), (turned | ~finite, "a quaternion of 0")):
+        raise ContentError(f"each of its Gaussians has {_WRONG}, or a quaternion of 0")
+    for rows, what in ((finite, _WRONG), (turned | ~finite, "a quaternion of 0")):
         if not rows.all():
             remark(f"{counted(int((~rows).sum()), 'Gaussian')} with {what}: left out")
     if not (finite & turned).all():
         splats = rows_of(splats, finite & turned)
     arrays = vars(splats) | {
         "opacity": splats.opacity.clip(-LOGIT_MAX, LOGIT_MAX),
-        "scale": splats.scale.clip(-LOGARITHM_MAX, LOGARITHM_MAX),
+        "scale": splats.scale.clip(-LOGARITHM_MAX, np.float32(np.log(LARGEST))),
     }
-    for name, values in arrays.items():
-        if name in LARGEST and np.abs(values).max(initial=0) > LARGEST[name]:
-            raise ContentError(f"a {name} is beyond {LARGEST[name]:g}")
     return Splats(**arrays)
 
 

@@ -29,7 +29,7 @@ from .messages import opening, shown
 from .settings import TrainSettings
 from .settings_file import document
 from .stage import Stage
-from .state import Keeper, restore, write_somewhere
+from .state import Keeper, ending, restore, write_somewhere
 from .trainer import Trainer
 from .views import show
 
@@ -91,7 +91,8 @@ def train(
     with shown(trainer, progress, logging) as watch:
         whole = trainer.run(watch, keep)
     # result() begins the stages that have not begun, so training could not continue from a state saved after it.
-    result = trainer.result()
+    with ending(keep.path):
+        result = trainer.result()
     if up_axis is not None:
         result = replace(result, render=replace(result.render, up_axis=up_axis))
     if metadata and isinstance(result, Scene):

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ..encoder.positions import choose_grid
 from ..encoder.sizes import choose_slices
 from ..photographs.photographs import PhotographSet
-from ..statuses import UsageError
+from ..statuses import UsageError, refusing
 from .fit_input import Given, read_given
 from .settings import PHASES, Phase, TrainSettings
 from .settings_file import varied
@@ -48,12 +48,8 @@ def read_beginning(folder: Path) -> Given:
     """Returns the scene to continue from. Raises UsageError if it is not a scene folder."""
     if not folder.is_dir():
         raise UsageError(f"{folder} is not a scene folder: training can continue only from one")
-    try:
+    with refusing(f"cannot continue training from {folder}"):
         return read_given(folder)
-    except UsageError:
-        raise
-    except ValueError as error:
-        raise UsageError(f"cannot continue training from {folder}: {error}") from None
 
 
 @dataclass(frozen=True, eq=False)

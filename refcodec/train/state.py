@@ -14,7 +14,7 @@ import os
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Protocol
 
@@ -311,6 +311,21 @@ def _read(path: Path) -> tuple[dict[str, Any], Saved]:
 
 
 # --- results ----------------------------------------------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def ending(state: Path) -> Iterator[None]:
+    """Says of a ValueError, with which the result of a training cannot be made, where the training is kept.
+
+    state: the path of the saved state. Raises UsageError.
+    """
+    try:
+        yield
+    except ValueError as error:
+        kept = f"{state} keeps it, and --resume with more --steps continues. Or train again"
+        advice = _kept(state, kept, "no state could be saved: train again")
+        what = f"what was learned does not fit into a file: {error}; {advice}"
+        raise UsageError(f"{what} without outliers of the input, or with a larger --lambda") from None
 
 
 def write_somewhere(write: Callable[[Path], None], output: Path, state: Path) -> None:

@@ -22,6 +22,7 @@ from safetensors import safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
+from refcodec.bitstream.networks import BoundError
 from refcodec.cli.main import main
 from refcodec.folder.read import read_folder
 from refcodec.folder.write import write_folder
@@ -294,6 +295,13 @@ def failing(places: Callable[[Path], bool]) -> Callable[..., None]:
     return write
 
 
+def failing_with(error: Exception) -> Callable[..., Any]:
+    def fail(*_: object) -> None:
+        raise error
+
+    return fail
+
+
 @pytest.mark.slow
 def test_a_scene_that_cannot_be_written_gets_a_second_place(
     examples: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -316,6 +324,13 @@ def test_a_scene_that_cannot_be_written_gets_a_second_place(
     assert len(messages) == 1
     assert f"--resume to continue from {state_path(output)}" in messages[0]
     monkeypatch.setattr(command, "write_folder", write_folder)
+    # Nor is anything lost of a training whose result no file can hold.
+    with monkeypatch.context() as patch:
+        patch.setattr(Trainer, "result", failing_with(BoundError(10, "carm.1.0")))
+        assert main([*words(examples, output), "--resume"]) == 64
+    (message,) = faults(capsys)
+    assert "learned does not fit into a file: weights of the network layer carm.1.0, row 10, are too large" in message
+    assert f"{state_path(output)} keeps it, and --resume" in message
     assert main([*words(examples, output), "--resume"]) == 0
     assert read_folder(output).anchor_count > 100
 
