@@ -181,7 +181,7 @@ def splats(file: Place, *, limits: Limits | None = None) -> Splats:
     With n Gaussians, `mean` is float32 [n, 3] in world units, `scale` [n, 3] the natural logarithms of the axes'
     lengths, `quaternion` [n, 4] w, x, y, z, `opacity` [n] logits, and `base` [n, 3] and `rest` [n, K, 3] the
     coefficients of the harmonics, with K 0, 3, 8 or 15. The order is that of the anchors and their offsets. The arrays
-    are read-only.
+    are read-only; base and rest are views of one array.
 
     Args:
         file: a path, a URL, the bytes of a file, or a file object, as for `open`.
