@@ -66,6 +66,9 @@ def _status_of(error: BaseException, place: str, limited: bool) -> int:
 
     place: the file or folder that the command reads. limited: whether the command has limits.
     """
+    # Compiled functions may return in spite of Ctrl-C.
+    if isinstance(error, SystemError) and isinstance(error.__cause__, KeyboardInterrupt):
+        error = error.__cause__
     if isinstance(error, SystemExit):
         # argparse raises this after --help, --version and wrong usage.
         return int(error.code or 0)
@@ -85,7 +88,7 @@ def _status_of(error: BaseException, place: str, limited: bool) -> int:
     if isinstance(error, statuses.UsageError):
         text = f"{place}: {error}" if error.about_input else str(error)
         for line in text.splitlines() if error.several_lines else [text]:
-            note(f"refcodec: {line}")
+            note(f"refcodec: {line.removeprefix('refcodec: ')}")
         return error.status
     if isinstance(error, OSError):
         # stdout has no name. Its buffered rest would fail again.

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta, Struct, field
 
-from ..files.documents import TOML_MAX, DocumentError, parse_toml
+from ..files.documents import TOML_MAX, DocumentError, FieldError, checked, parse_toml
 from ..files.text import printable
 from ..photographs.photographs import PhotographError, parse_size
 from ..statuses import UsageError
@@ -208,17 +208,13 @@ def read_experiment(path: Path) -> Experiment:
 def parse_experiment(path: Path, data: bytes) -> Experiment:
     """The experiment of a file's content. path: its place and name. Raises ExperimentError, as read_experiment."""
     try:
-        file = msgspec.convert(parse_toml(data), _File)
+        file = checked(parse_toml(data), _File)
         experiment = Experiment(**msgspec.structs.asdict(file), path=path, text=data)
         _check_cells(experiment)
-    except (DocumentError, msgspec.ValidationError, ExperimentError) as error:
-        text, _, place = str(error).partition(" - at `$.")
-        where = f"{place.rstrip('`')}: " if place else ""
-        # Errors of the checks above state what is allowed.
-        own = error.__cause__ is not None or not isinstance(error, msgspec.ValidationError)
-        hint = "" if own else "; `refcodec experiment --help` has the keys and their values"
-        hint = "; rates is now named lambdas, as it lists lambda_r" if "field `rates`" in text else hint
-        raise ExperimentError(printable(f"{path}: {where}{text}{hint}", 400)) from None
+    except (DocumentError, ExperimentError) as error:
+        hint = "; `refcodec experiment --help` has the keys and their values" if isinstance(error, FieldError) else ""
+        hint = "; rates is now named lambdas, as it lists lambda_r" if str(error).startswith("rates ") else hint
+        raise ExperimentError(printable(f"{path}: {error}{hint}", 400)) from None
     return experiment
 
 

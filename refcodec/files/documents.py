@@ -86,11 +86,13 @@ def checked(value: Any, kind: Any) -> Any:
     try:
         return msgspec.convert(value, kind)
     except msgspec.ValidationError as error:
-        text = str(error)
+        text, own = str(error), error.__cause__ is not None
     if of_key := re.fullmatch(r"(.*) - at `key` in `\$\.?(.*)`", text, re.DOTALL):
         raise FieldError(of_key[2], f"has a name that is not allowed: {printable(of_key[1], _SHOWN)}")
     problem, _, path = text.partition(" - at `$")
     name = path.removesuffix("`").removeprefix(".")
+    if own:  # of a check of the type's own
+        raise FieldError(name, f"is not right: {problem}")
     if absent := re.fullmatch(r"Object (missing required|contains unknown) field `(.*)`", problem):
         raise FieldError(f"{name}.{absent[2]}".lstrip("."), "is missing" if absent[1][0] == "m" else "is not known")
     # A key of a dictionary is "...".

@@ -57,6 +57,9 @@ def check_file(path: Path, kind: Kind, made: bool = False) -> None:
             raise UsageError(f"{_shown(folder)} is not a directory")
         if not made:
             raise UsageError(f"there is no directory {_shown(folder)}")
+    # Said before the work, which would be lost. A missing folder is made later.
+    if (stat.S_ISREG(mode) or not mode) and folder.is_dir() and not os.access(folder, os.W_OK | os.X_OK):
+        raise UsageError(f"{shown} cannot be written: {_shown(folder)} is read-only; choose another folder")
     if stat.S_ISDIR(mode):
         raise UsageError(f"{shown} is a directory: give the name of a file")
     if stat.S_ISREG(mode):

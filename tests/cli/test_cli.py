@@ -360,6 +360,14 @@ def test_keep_going_with_other_damages(file: Path, data: bytes, call: Call) -> N
 # --- signals and pipes ------------------------------------------------------------------------------------------------
 
 
+def test_an_interrupt_in_a_compiled_function(file: Path, monkeypatch: pytest.MonkeyPatch, call: Call) -> None:
+    """It returns, and Python calls that an error of the system."""
+    error = SystemError("CPUDispatcher returned a result with an exception set")
+    error.__cause__ = KeyboardInterrupt()
+    monkeypatch.setattr(Reader, "open", lambda *_, **__: (_ for _ in ()).throw(error))
+    assert call("validate", file) == (130, "", "refcodec: interrupted\n")
+
+
 def test_interrupt(tmp_path: Path) -> None:
     """Ctrl-C while a named pipe keeps the reader waiting."""
     pipe = tmp_path / "pipe"

@@ -94,8 +94,8 @@ def test_the_cells(monkeypatch: pytest.MonkeyPatch) -> None:
     ("old", "new", "words"),
     [
         ("lambdas = [0.01", "rates = [0.01", "rates is now named lambdas"),
-        ("steps = 5", "stops = 5", "unknown field `stops`; `refcodec experiment --help` has the keys"),
-        ("steps = 5", "steps = 0", "steps: Expected `int` >= 1"),
+        ("steps = 5", "stops = 5", "stops is not known; `refcodec experiment --help` has the keys"),
+        ("steps = 5", "steps = 0", "steps is 0: an integer >= 1 is required"),
         ("steps = 5", 'device = "tpu"', "'tpu'"),
         ("[0.01, 0.004]", "[nan]", "finite"),
         ("[0.01, 0.004]", "[0.0040000001]", "six digits"),

@@ -28,7 +28,7 @@ POEM = Kind("a poem", re.compile(rb"roses"))
 # --- the rules --------------------------------------------------------------------------------------------------------
 
 
-def test_an_existing_file_of_another_kind_stays(tmp_path: Path) -> None:
+def test_an_existing_file_of_another_kind_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path, link, odd = tmp_path / "a", tmp_path / "link", tmp_path / "a\n\x1b[31mb"
     link.symlink_to(path)
     for content in (None, b"", b"roses are red"):
@@ -48,6 +48,9 @@ def test_an_existing_file_of_another_kind_stays(tmp_path: Path) -> None:
             check_file(wrong, POEM, made)
         assert str(raised.value).isprintable()
     check_file(tmp_path / "b" / "c", POEM, made=True)
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    with pytest.raises(UsageError, match="is read-only; choose another folder"):
+        check_file(tmp_path / "new", POEM)
     check_file(Path("/dev/null"), POEM)
 
 
