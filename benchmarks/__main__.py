@@ -23,6 +23,7 @@ from typing import Any
 from tqdm import tqdm
 
 from refcodec.bitstream.tables import tables_file
+from refcodec.files.text import counted
 from refcodec.statuses import DONE
 
 from .large import KEPT, PAPER_ANCHORS, TRAINED, large
@@ -141,9 +142,9 @@ def scale(sizes: Sequence[int], rounds: int, kept: Path = KEPT) -> list[str]:
     head = ["anchors", "bytes", "way", "seconds", "processor seconds", "of an anchor, µs", "resident MiB"]
     return [
         facts,
-        f"Medians of {rounds} rounds, and the largest peak memory. Whole decoding holds the scene. Streaming decoding",
-        "reads the file in blocks, and releases each chunk. The symbols are those of `decode`. encode: of the",
-        "scene folder, with the start of the process and reading.",
+        f"Medians of {counted(rounds, 'round')}, and the largest peak memory. Whole decoding holds the scene.",
+        "Streaming decoding reads the file in blocks, and releases each chunk. The symbols are those of `decode`.",
+        "encode: of the scene folder, with the start of the process and reading.",
         "",
         *table(head, rows),
     ]

@@ -114,10 +114,10 @@ def _little(values: NDArray[Any], kind: str) -> bytes | memoryview:
     return np.ascontiguousarray(values, kind).reshape(-1).view(np.uint8).data
 
 
-def pieces(scene: Scene, rendering: Rendering | None = None) -> Iterator[tuple[str, bytes | memoryview]]:
+def pieces(scene: Scene) -> Iterator[tuple[str, bytes | memoryview]]:
     """SPEC 9.3: yields the name and the bytes of each part of the canonical reconstruction, in order and in pieces.
 
-    Only a piece is held. rendering: as for gaussians.
+    Only a piece is held.
     """
     for name in part_names(scene.render.render_model):
         if name == "planes":
@@ -125,7 +125,7 @@ def pieces(scene: Scene, rendering: Rendering | None = None) -> Iterator[tuple[s
         elif name == "weights":
             yield name, weight_part(scene)
         else:
-            yield from ((name, piece) for piece in anchor_pieces(scene, name, rendering))
+            yield from ((name, piece) for piece in anchor_pieces(scene, name))
 
 
 def anchor_pieces(scene: Scene, name: str, rendering: Rendering | None = None) -> Iterator[bytes | memoryview]:

@@ -90,6 +90,7 @@ TRIES, TOLERANCE, SLOPE = 6, 0.1, 9.0
 INLIERS, VOXEL_BITS, CROWDED = 0.95, 4, 0.1
 # The largest coordinate of the lattice in cells. A Gaussian beyond has an offset of at most so many units.
 END, OFFSET_MOST = 0.4 * 2**CELL_LEVELS, 1 << 13
+# Odd numbers, of which products with the bits of means tell these apart.
 ODD = 0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9
 AROUND, DISTANCES = [np.array(step) for step in sorted(np.ndindex(2, 2, 2), key=sum)[1:]], (1, -1, 2, -2, 3, -3)
 # The entropy model: steps of training, and what differs from a fit of longer training.

@@ -20,6 +20,7 @@ from refcodec.bitstream.positions import chunk_codes  # noqa: E402
 from refcodec.bitstream.reconstruction import gaussians  # noqa: E402
 from refcodec.bitstream.splat import OUTPUT_BITS  # noqa: E402
 from refcodec.cli.main import main  # noqa: E402
+from refcodec.convert import fast  # noqa: E402
 from refcodec.convert.drawing import drawn, tensors  # noqa: E402
 from refcodec.convert.fast import Measured, coded, converted  # noqa: E402
 from refcodec.convert.importance import numbers, own_importance, splats_of  # noqa: E402
@@ -29,6 +30,7 @@ from refcodec.formats.splats import Splats  # noqa: E402
 from refcodec.rendering.gaussians import static_splats  # noqa: E402
 from refcodec.rendering.rasterise import Settings, draw  # noqa: E402
 from refcodec.rendering.view import View  # noqa: E402
+from refcodec.train import fit as train_fit  # noqa: E402
 
 
 def test_numbers_draw_the_same() -> None:
@@ -122,6 +124,19 @@ def test_convert_fast(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     assert "--psnr applies only to --fast" in capsys.readouterr().err
     assert main([*words[:3], str(tmp_path / "folder"), "--fast"]) == 64
     assert "must end in .c3gs" in capsys.readouterr().err
+
+
+def test_many_gaussians(monkeypatch: pytest.MonkeyPatch) -> None:
+    """They have layers and more lanes, and the entropy model learns from some of them; all are in the file."""
+    monkeypatch.setattr(fast, "LARGE", 1000)
+    monkeypatch.setattr(train_fit, "SAMPLE", 300)
+    splats = made(2000, 0)
+    splats.opacity[:] = 3
+    cameras = orbit(splats, AXES["-y"], 32, 4, 2)
+    scene = converted([splats], cameras, RenderInfo(near_plane=near_plane(splats)), 1, 50, 12).scene
+    again = parse(emit(scene)).scene
+    assert again.chunk_anchors == (scene.anchor_count // 4, scene.anchor_count - scene.anchor_count // 4)
+    assert (again.lanes.attribute, len(static_splats(again).mean)) == (fast.LANES, scene.anchor_count)
 
 
 def far_out(splats: Splats, distance: float) -> Splats:
