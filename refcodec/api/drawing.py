@@ -140,6 +140,7 @@ def evaluate(
     The photographs are those that training holds out: the test set of the data set, or every eighth one.
     Their size is the training size, from training.json in the scene folder or else from the scene's camera.
     training.json also states which photographs were held out. For a file, eval prints its own choice.
+    psnr_cc is PSNR after the best gain and offset of each channel of each image. No figure counts masked pixels.
     An image has the name of its camera, including folders, with the suffix .png, which is appended to the camera's
     own suffix if names would collide. Images are marked as written by refcodec, and only such images are replaced.
     They appear in DIR when all are drawn.

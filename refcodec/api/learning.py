@@ -23,7 +23,7 @@ class DataWords(TypedDict, total=False):
     Args:
         static: learn a static scene: its Gaussians do not depend on the view, and its colours have spherical harmonics.
         background: colour behind transparent photographs: white, black or R,G,B (default: that of --from, or white if
-            a photograph is transparent, else black).
+            a pixel is transparent, else black).
         holdout: hold out every N-th photograph, or none with 0, unless the data set has a split (default: 8).
         anchors: approximate number of initial anchors (default: the preset's).
         voxel: edge length of the voxels of the initial anchors, in world units.
@@ -82,6 +82,7 @@ def train(
 
     PHOTOGRAPHS is a COLMAP or NeRF folder; every eighth image is held out. refcodec encode and eval read
     SCENE_DIR. Its training.json has the settings and a report of the training.
+    Masks exclude pixels that are black in masks/NAME.png (COLMAP) or in the mask_path of a frame (NeRF).
     Training starts with an anchor in each voxel that has points. --voxel or --anchors sets the voxel size.
     For a NeRF folder without points, points are drawn at random: in the visual hull of transparent photographs,
     or else in a cube. Anchors grow until 40 % of the steps, when the rate enters the loss. The setting

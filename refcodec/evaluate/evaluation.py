@@ -14,8 +14,9 @@ from ..bitstream.codec import parse
 from ..folder.uncompressed import Uncompressed
 from ..inspect.elements import outline_of
 from ..inspect.parts import part_bytes
+from ..photographs.photographs import excluded
 from ..rendering.view import View
-from .quality import measures
+from .quality import counted, measures
 
 if TYPE_CHECKING:
     from ..photographs.photographs import Photograph, PhotographSet
@@ -38,7 +39,7 @@ def evaluate(
 
     images: called with each compared image, float32 [height, width, 3], in the order of compared_of.
 
-    Returns bytes, anchors, parts (bytes, as inspect.parts names them), decode_seconds, frames_per_second and held_out.
+    Returns bytes, anchors, parts (bytes, as in inspect.parts), decode_seconds, frames_per_second, held_out, excluded.
     For each image and their mean, it has quality.measures, and lpips.measures if lpips is given. Raises
     BitstreamError for a file that is rejected, PhotographError for photographs that cannot be read or compared.
     """
@@ -67,8 +68,8 @@ def evaluate(
         at = time.perf_counter()
         made = view.draw(photograph.camera)
         drawing += time.perf_counter() - at
-        more = lpips.measures(made, photograph.image) if lpips else {}
-        rows.append({"image": photograph.camera.name, **measures(made, photograph.image), **more})
+        more = lpips.measures(*counted(photograph.mask, made, photograph.image)) if lpips else {}
+        rows.append({"image": photograph.camera.name, **measures(made, photograph.image, photograph.mask), **more})
         if images:
             images(made)
     progress("images", len(compared), len(compared))
@@ -79,6 +80,7 @@ def evaluate(
         "decode_seconds": spent,
         "frames_per_second": len(rows) / drawing,
         "held_out": bool(photographs.test),
+        **excluded(compared),
         "mean": {name: sum(row[name] for row in rows) / len(rows) for name in rows[0] if name != "image"},
         "images": rows,
     }
@@ -91,10 +93,11 @@ def table(result: dict[str, Any]) -> Iterator[str]:
     for row in [*result["images"], {"image": "mean", **result["mean"]}]:
         yield f"{row['image']:<28}" + "".join(f" {row[name]:>10.4f}" for name in names)
     yield ""
-    yield f"{result['bytes']} bytes, {result['anchors']} anchors: " + ", ".join(
-        f"{n} {b}" for n, b in result["parts"].items()
-    )
+    if result["masks"]:
+        yield f"{result['masks']} from all figures: they are black in both images"
+    yield f"PSNR with each photograph's best colours (psnr_cc): {result['mean']['psnr_cc']:.2f} dB"
+    parts = ", ".join(f"{n} {b}" for n, b in result["parts"].items())
+    yield f"{result['bytes']} bytes, {result['anchors']} anchors: {parts}"
     yield "decoding: " + ", ".join(f"{stage} {seconds:.2f} s" for stage, seconds in result["decode_seconds"].items())
-    yield f"drawing: {result['frames_per_second']:.1f} images a second" + (
-        "" if result["held_out"] else "; no images were held out"
-    )
+    held = "" if result["held_out"] else "; no images were held out"
+    yield f"drawing: {result['frames_per_second']:.1f} images a second{held}"

@@ -68,13 +68,13 @@ UNDISTORTED: Distortion = (0.0,) * len(COEFFICIENTS)
 class Shot:
     """A posed image of a data set: the file, the camera before undistortion and resizing, its distortion.
 
-    masked: whether the data set has a mask of it.
+    mask: the file of its mask, None if it has none.
     """
 
     path: Path
     camera: Camera
     distortion: Distortion = UNDISTORTED
-    masked: bool = False
+    mask: Path | None = None
 
 
 # The suffixes of images, in the order in which they are tried for a name without one, as Blender's files have.

@@ -12,8 +12,9 @@ import stat
 import struct
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
@@ -54,6 +55,7 @@ MODEL_IDS = (
     *("SIMPLE_DIVISION", "DIVISION", "SIMPLE_FISHEYE", "FISHEYE", "EUCM", "EQUIRECTANGULAR"),
 )
 PARTS = ("cameras", "images", "points3D")
+MASKS = "masks"
 # Smallest records of the binary files, in bytes: counts are compared with the rest of the file.
 CAMERA_HEAD, IMAGE_HEAD, POINT_HEAD = struct.Struct("<IiQQ"), struct.Struct("<I7dI"), struct.Struct("<Q3d3BdQ")
 SMALLEST = {"cameras": CAMERA_HEAD.size, "images": IMAGE_HEAD.size + 1 + 8, "points3D": POINT_HEAD.size}
@@ -106,7 +108,8 @@ def read_colmap(folder: Path, model: Path, size: Size) -> tuple[list[Shot], F64,
     """Returns posed images in order of names, points [M, 3], colours [M, 3], and the number of images without pose.
 
     folder: the data set. model: one of find_models. Images are in folder/images, or in images_2, images_4 and so
-    on, the smallest of these with enough pixels for the size. Raises PhotographError.
+    on, the smallest of these with enough pixels for the size. The mask of NAME.jpg is folder/masks/NAME.jpg.png or
+    NAME.png. Raises PhotographError.
     """
     suffix = ".bin" if any(there(model / f"{part}.bin") for part in PARTS) else ".txt"
     files = [model / f"{part}{suffix}" for part in PARTS]
@@ -134,6 +137,10 @@ def read_colmap(folder: Path, model: Path, size: Size) -> tuple[list[Shot], F64,
     if missing:
         problem = f"the image is missing ({len(missing)} of the {len(shots)} images with a pose are missing)"
         raise PhotographError(missing[0], problem, "restore it, or remove its pose from the model")
+    if (folder / MASKS).is_dir():
+        find = partial(Names(folder / MASKS).file, images_file, "name")
+        tried = [map(find, (s.camera.name, str(PurePosixPath(s.camera.name).with_suffix("")))) for s in shots]
+        shots = [replace(s, mask=next(filter(Path.is_file, f), None)) for s, f in zip(shots, tried, strict=True)]
     pictures = {p for p in found.folder.rglob("*") if p.suffix.lower() in IMAGE_SUFFIXES and p.is_file()}
     return shots, points, colours, len(pictures - {shot.path for shot in shots})
 

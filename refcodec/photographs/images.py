@@ -92,7 +92,7 @@ def wanted_size(where: Path | str, width: int, height: int, size: Size) -> tuple
 @contextmanager
 def _opened(path: Path) -> Iterator[Image.Image]:
     if not path.is_file():
-        raise PhotographError(path, "the image is missing", "restore it, or remove its pose from the dataset")
+        raise PhotographError(path, "the image is missing", "restore it, or remove what names it in the dataset")
     try:
         with warnings.catch_warnings():
             # Pillow only warns of large images. Here the bound is an error.
@@ -122,9 +122,9 @@ def image_size(path: Path) -> tuple[int, int]:
 
 
 def is_transparent(path: Path) -> bool:
-    """Whether an image file has an alpha channel or a transparent colour. As image_size."""
+    """Whether a pixel of an image file is not opaque. Pixels are read only if there is alpha. As image_size."""
     with _opened(path) as image:
-        return image.has_transparency_data
+        return image.has_transparency_data and bool((np.asarray(image.convert("RGBA"))[..., 3] < 255).any())
 
 
 def read_image(path: Path, background: tuple[int, int, int]) -> U8:

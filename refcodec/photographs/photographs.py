@@ -6,11 +6,12 @@ PhotographError.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from math import inf
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,7 @@ from ..files.text import counted
 from ..folder.georeference import far_offset
 from ..rendering.camera import moved
 from .cameras import F64, U8, UNDISTORTED, Camera, PhotographError, Shot
-from .colmap import find_models, read_colmap
+from .colmap import MASKS, find_models, read_colmap
 from .images import (
     Size,
     image_size,
@@ -48,14 +49,13 @@ __all__ = [
 TEST_EVERY = 8
 Colour = tuple[int, int, int]
 
-# The background: white if a photograph is transparent, as in 3DGS for NeRF's synthetic scenes, and else black.
+# The background: white if a pixel is transparent, as in 3DGS for NeRF's synthetic scenes, and else black.
 WHITE, BLACK = (255, 255, 255), (0, 0, 0)
 # Points are outliers beyond so many times the size of the scene: the median distance of the cameras from their middle,
 # or the distance from there of this share of the points, if that is more. So a sky of many points is none.
 OUTLYING, BULK = 100, 0.95
 # The longest side of a camera is at most so many times that of its image, whose shape could otherwise be any.
 LEAST = 16
-MASKS = "masks"
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,24 +63,28 @@ class Photograph:
     """A camera and its photograph.
 
     load: reads the image, blended over a background, 0 to 255 each. background: the one for transparent pixels. path:
-    of the file.
+    of the file. mask_path, load_mask: the file of the mask, and what reads it, None if there is none.
     """
 
     camera: Camera
     load: Callable[[Colour], U8]
     background: Colour
     path: Path
+    mask_path: Path | None = None
+    load_mask: Callable[[], NDArray[np.bool_]] | None = None
 
     @cached_property
     def image(self) -> U8:
         """The image, uint8 [H, W, 3], RGB, of the size of the camera. It is cached. Raises PhotographError."""
         return self.load(self.background)
 
-    def empty(self) -> NDArray[np.bool_]:
-        """Whether each pixel is fully transparent, bool [H, W].
+    @cached_property
+    def mask(self) -> NDArray[np.bool_] | None:
+        """Whether each pixel counts, bool [H, W]; None without a mask. It is cached. Raises PhotographError."""
+        return self.load_mask() if self.load_mask else None
 
-        Raises PhotographError.
-        """
+    def empty(self) -> NDArray[np.bool_]:
+        """Whether each pixel is fully transparent, bool [H, W]. Raises PhotographError."""
         white, black = (self.image if self.background == over else self.load(over) for over in (WHITE, BLACK))
         return ((white == 255) & (black == 0)).all(axis=2)
 
@@ -116,13 +120,8 @@ class PhotographSet:
         """Returns the photographs at places from which an offset is subtracted, float64 [3]."""
         if not offset.any():
             return self
-        train, test = (
-            tuple(
-                replace(p, camera=camera)
-                for p, camera in zip(some, moved([p.camera for p in some], offset), strict=True)
-            )
-            for some in (self.train, self.test)
-        )
+        pairs = [zip(some, moved([p.camera for p in some], offset), strict=True) for some in (self.train, self.test)]
+        train, test = (tuple(replace(p, camera=camera) for p, camera in pair) for pair in pairs)
         return replace(self, train=train, test=test, points=self.points - offset)
 
     @property
@@ -132,7 +131,7 @@ class PhotographSet:
 
     def places(self) -> list[Path]:
         """Returns the image files and their folders."""
-        files = [photograph.path for photograph in (*self.train, *self.test)]
+        files = [path for p in (*self.train, *self.test) for path in (p.path, p.mask_path) if path]
         return [*files, *dict.fromkeys(file.parent for file in files)]
 
 
@@ -183,7 +182,7 @@ def read_photographs(
             )
         over = background or (WHITE if any(is_transparent(shot.path) for shot in (*shots, *test_shots)) else BLACK)
         notes += _unused(folder, [*shots, *test_shots], size)
-        train, test = _photographs(shots, size, over), _photographs(test_shots, size, over)
+        train, test = (tuple(_photograph(shot, size, over) for shot in some) for some in (shots, test_shots))
     except OSError as error:
         raise PhotographError(
             error.filename or folder, f"it cannot be read ({error.strerror})", "check the file and its permissions"
@@ -196,10 +195,11 @@ def read_photographs(
 
 
 def _unused(folder: Path, shots: list[Shot], size: Size) -> Iterator[str]:
-    """Yields notes on masks, and on images that are smaller than the others, compared with their cameras."""
-    masked = f"the mask_path of {sum(shot.masked for shot in shots)} frames" if any(s.masked for s in shots) else ""
-    if masked or (folder / MASKS).is_dir():
-        yield f"{masked or folder / MASKS} is not used: make pixels transparent to exclude them"
+    """Yields notes on missing masks, and on images that are smaller than the others, compared with their cameras."""
+    bare = [shot.camera.name for shot in shots if not shot.mask]
+    if bare and (len(bare) < len(shots) or (folder / MASKS).is_dir()):
+        where = f"{MASKS}/{bare[0]}.png beside a COLMAP model, or mask_path of a frame of transforms.json"
+        yield f"{counted(len(bare), 'photograph')} of {len(shots)} without a mask ({where}): all of their pixels count"
     sides = [max(image_size(shot.path)) for shot in shots]
     shares = [side / max(shot.camera.width, shot.camera.height) for side, shot in zip(sides, shots, strict=True)]
     needed = inf if size is None else size if isinstance(size, int) else max(size)
@@ -229,8 +229,12 @@ def far_points(points: F64, centres: F64) -> tuple[NDArray[np.bool_], list[str]]
     return near, [text] if why else []
 
 
-def _photographs(shots: Iterable[Shot], size: Size, background: Colour) -> tuple[Photograph, ...]:
-    return tuple(_photograph(shot, size, background) for shot in shots)
+def excluded(photographs: Sequence[Photograph]) -> dict[str, Any]:
+    """Returns excluded, the share of pixels that masks exclude, and masks, a text on it. Raises PhotographError."""
+    masks = [p.mask for p in photographs if p.mask is not None]
+    share = sum(int((~m).sum()) for m in masks) / sum(p.camera.width * p.camera.height for p in photographs)
+    text = f"masks: {counted(len(masks), 'photograph')}, {100 * share:.3g} % of pixels are excluded"
+    return {"excluded": share, "masks": text if masks else ""}
 
 
 def _photograph(shot: Shot, size: Size, background: Colour) -> Photograph:
@@ -248,18 +252,36 @@ def _photograph(shot: Shot, size: Size, background: Colour) -> Photograph:
             if turned
             else f"restore the image that the camera was estimated from, or one at least 1/{LEAST} of its size",
         )
-    photographed = stated.resized(width, height)
-    camera = (
-        photographed if shot.distortion == UNDISTORTED else undistorted_camera(shot.path, photographed, shot.distortion)
-    )
+    camera = stated.resized(width, height)
+    if shot.distortion != UNDISTORTED:
+        camera = undistorted_camera(shot.path, camera, shot.distortion)
     camera = camera.resized(*wanted_size(shot.path, width, height, size))
-    return Photograph(camera, partial(_load, shot, photographed, camera), background, shot.path)
+    load = partial(_load, shot, (height, width, 3), camera)
+    load_mask = partial(_load_mask, shot, shot.mask, camera) if shot.mask else None
+    return Photograph(camera, load, background, shot.path, shot.mask, load_mask)
 
 
-def _load(shot: Shot, photographed: Camera, camera: Camera, background: Colour) -> U8:
+def _load(shot: Shot, shape: tuple[int, ...], camera: Camera, background: Colour) -> U8:
     image = read_image(shot.path, background)
-    if image.shape != (photographed.height, photographed.width, 3):
+    if image.shape != shape:
         raise PhotographError(shot.path, "its size has changed since the folder was read", "read the folder again")
+    return _seen(image, shot, camera)
+
+
+def _load_mask(shot: Shot, mask: Path, camera: Camera) -> NDArray[np.bool_]:
+    """As Photograph.mask: a pixel counts if half of its area or more is not black, as in COLMAP and nerfstudio."""
+    used = read_image(mask, BLACK).any(axis=2, keepdims=True)
+    counts = _seen(np.repeat(used * np.uint8(255), 3, axis=2), shot, camera)[..., 0] >= 128
+    same = same_aspect(used.shape[1], used.shape[0], shot.camera.width, shot.camera.height)
+    if not (same and counts.any()):
+        problem = "black, which is excluded, is everywhere" if same else f"it has not the shape of {shot.path}"
+        raise PhotographError(mask, f"the mask cannot be used: {problem}", "make it again, or remove the photograph")
+    return np.asarray(counts)
+
+
+def _seen(image: U8, shot: Shot, camera: Camera) -> U8:
+    """Returns the photograph or mask [H, W, 3] of a shot as `camera` would have taken it."""
     if shot.distortion == UNDISTORTED:
         return shrink(image, camera.width, camera.height)
+    photographed = shot.camera.resized(image.shape[1], image.shape[0])
     return undistorted_image(image, photographed, shot.distortion, camera)

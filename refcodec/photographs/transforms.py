@@ -49,7 +49,7 @@ class TransformsFrame(Struct):
 
     file_path: str
     transform_matrix: Any = None
-    mask_path: Any = None
+    mask_path: str | None = None
     camera_model: Any = "OPENCV"
     is_fisheye: Any = None
     w: float | None = None
@@ -161,7 +161,8 @@ def _shot(where: str, folder: Names, frame: TransformsFrame) -> Shot:
     rotation, translation = _pose(where, frame.transform_matrix)
     camera = Camera(name, width, height, fx, fy, cx, cy, rotation, translation)
     check_intrinsics(where, camera, distortion)
-    return Shot(path, camera, distortion, frame.mask_path is not None)
+    mask = None if frame.mask_path is None else folder.file(where, "mask_path", frame.mask_path)
+    return Shot(path, camera, distortion, mask)
 
 
 def _distortion(where: str, frame: TransformsFrame) -> Distortion:

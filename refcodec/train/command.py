@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,7 @@ from .estimate import estimate
 from .fit_input import Given
 from .log import Log, Logging
 from .looks import psnr
+from .losses import squared_error
 from .messages import opening, shown
 from .settings import TrainSettings
 from .settings_file import document
@@ -121,15 +123,11 @@ def report(trainer: Trainer, result: Scene | Uncompressed) -> dict[str, Any]:
     mean of these, or of those of the uncompressed scene, None if no photograph is held out. schedule: where training
     was extended last, as schedule.Clock.
     """
-    quantised = {}
-    for photograph in trainer.photographs.test:
-        camera = photograph.camera
-        image = (
-            show(trainer.scaffold, trainer.drawing, result, camera)
-            if isinstance(result, Scene)
-            else trainer.draw(camera)
-        )
-        quantised[camera.name] = psnr(float(np.mean((image.double().cpu().numpy() - photograph.image / 255) ** 2)))
+    draw = partial(show, trainer.scaffold, trainer.drawing, result) if isinstance(result, Scene) else trainer.draw
+    quantised = {
+        p.camera.name: psnr(squared_error(draw(p.camera).double(), trainer.pixels(p).double()))
+        for p in trainer.photographs.test
+    }
     first = trainer.photographs.train[0].camera
     return {
         "settings": document(trainer.settings),

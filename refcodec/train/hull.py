@@ -48,11 +48,13 @@ def carved(photographs: PhotographSet, wanted: int, seed: int) -> tuple[F64, U8]
 
 
 def _pixels(photograph: Photograph, points: F64) -> tuple[NDArray[np.int64], tuple[NDArray[np.int64], ...]]:
-    """The points that a photograph shows, int64 [n], and their pixels: rows and columns, int64 [n] each."""
+    """The points that a photograph shows in pixels that count, int64 [n], and these: rows and columns, int64 [n]."""
     camera = photograph.camera
     away = points @ camera.rotation.T + camera.translation
     ahead = np.flatnonzero(away[:, 2] > 0)
     x, y, depth = away[ahead].T
     column, row = (np.floor(v) for v in (x / depth * camera.fx + camera.cx, y / depth * camera.fy + camera.cy))
     inside = (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
-    return ahead[inside], (row[inside].astype(np.int64), column[inside].astype(np.int64))
+    ahead, at = ahead[inside], (row[inside].astype(np.int64), column[inside].astype(np.int64))
+    shown = slice(None) if photograph.mask is None else photograph.mask[at]
+    return ahead[shown], (at[0][shown], at[1][shown])

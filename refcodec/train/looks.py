@@ -12,6 +12,7 @@ from msgspec.structs import asdict
 from torch import Tensor
 
 from .estimate import estimate
+from .losses import squared_error
 from .pace import Pace
 from .stage import Run, Stage
 from .state import Positive, Saved
@@ -53,7 +54,7 @@ class Looks(Stage):
 
     def step_done(self, image: Tensor, photograph: Tensor, seconds: float) -> None:
         """Records a step: its image, and its time."""
-        self.recent = [*self.recent[1 - LATELY :], psnr(float((image.detach() - photograph).square().mean()))]
+        self.recent = [*self.recent[1 - LATELY :], psnr(squared_error(image.detach(), photograph))]
         self.seconds += seconds
         self.pace.note(seconds)
 
@@ -65,7 +66,7 @@ class Looks(Stage):
         began = time.perf_counter()
         test = run.photographs.test
         some = test[:: max(len(test) // IMAGES, 1)] or run.photographs.train[:1]
-        errors = [float((run.draw(p.camera) - run.pixels(p)).square().mean()) for p in some]
+        errors = [squared_error(run.draw(p.camera), run.pixels(p)) for p in some]
         self.seconds += time.perf_counter() - began
         estimated = estimate(run)
         sizes = {name: estimated.get(name, 0) for name in PARTS}

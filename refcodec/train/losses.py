@@ -14,7 +14,19 @@ def photometric_torch(image: Tensor, photograph: Tensor, ssim: float) -> Tensor:
     return (1 - ssim) * (image - photograph).abs().mean() + ssim * (1 - ssim_torch(image, photograph))
 
 
+def counted(image: Tensor, photograph: Tensor) -> tuple[Tensor, Tensor]:
+    """Returns an image [H, W, 3] and a photograph (views.pixels), both black where the latter does not count."""
+    return (image * photograph[..., 3:], photograph[..., :3]) if photograph.shape[2] > 3 else (image, photograph)
+
+
+def squared_error(image: Tensor, photograph: Tensor) -> float:
+    """The mean squared error of an image [H, W, 3] over the pixels of a photograph (views.pixels) that count."""
+    one, other = counted(image, photograph)
+    return float((one - other).square().mean() / (photograph[..., 3:].mean() if photograph.shape[2] > 3 else 1))
+
+
 def photometric(image: Tensor, photograph: Tensor, ssim: float) -> Tensor:
-    """photometric_torch, in a kernel on CPUs. Only the image has a gradient."""
+    """photometric_torch of what counts (views.pixels), in a kernel on CPUs. Only the image has a gradient."""
+    image, photograph = counted(image, photograph)
     loss: Tensor = (Photometric.apply if has_kernel(image) else photometric_torch)(image, photograph, ssim)
     return loss

@@ -15,6 +15,7 @@ from numba.core import event
 from ..bitstream.attributes import KINDS
 from ..files.terminal import ProgressStream, note
 from ..files.text import shell_word
+from ..photographs.photographs import excluded
 from .estimate import UNCOUNTED, estimate
 from .trainer import Trainer, Watch
 
@@ -33,6 +34,7 @@ def opening(trainer: Trainer) -> str:
         words.append(f"{photographs.skipped} without pose are left out")
     points = "points drawn at random" if photographs.random else "points"
     words += [f"{len(photographs.points)} {points}", f"background {red},{green},{blue}"]
+    words += filter(None, [excluded([*photographs.train, *photographs.test])["masks"]])
     given = " of the scene to continue" if trainer.given else ""
     words += [f"{trainer.scaffold.count} anchors{given}", f"{settings.steps} steps"]
     words.append(f"lambda {settings.rate.lambda_r:g}" if settings.rate.lambda_r else "lambda 0: an uncompressed scene")

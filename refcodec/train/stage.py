@@ -168,7 +168,7 @@ class Run:
             stage.anchors_changed()
 
     def pixels(self, photograph: Photograph) -> Tensor:
-        """A photograph on the training's device, float32 [H, W, 3], 1 for white."""
+        """A photograph on the training's device (views.pixels)."""
         return pixels(photograph, self.device)
 
     @torch.no_grad()

@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Sequence
 from importlib import import_module
 from typing import Any
+from zlib import crc32
 
 import torch
 from torch import Tensor
@@ -171,10 +172,12 @@ class Trainer(Run):
     # --- the saved state ----------------------------------------------------------------------------------------------
 
     def fingerprint(self) -> dict[str, Any]:
-        """The values that must be equal to continue: settings except steps, and photographs with their sizes."""
+        """The values that must be equal to continue: settings except steps, photographs with their sizes, and masks."""
         photographs = [[p.camera.name, p.camera.width, p.camera.height] for p in self.photographs.train]
+        masks = [None if p.mask is None else crc32(p.mask.tobytes()) for p in self.photographs.train]
         settings = {name: value for name, value in document(self.settings).items() if name != "steps"}
         facts: dict[str, Any] = {"settings": settings, "photographs": photographs}
+        facts |= {"masks": masks} if any(masks) else {}
         if self.given is not None:
             facts["from"] = len(self.given.cloud.positions)
         own = {*MODES, self.looks.name}

@@ -20,8 +20,11 @@ from .splat import draw
 
 
 def pixels(photograph: Photograph, device: torch.device | str = "cpu") -> Tensor:
-    """A photograph as float32 [H, W, 3] on a device, 1 for white."""
-    return torch.from_numpy(photograph.image.astype(np.float32) / 255).to(device)
+    """A photograph on a device, float32 [H, W, 3], 1 for white; with a mask [H, W, 4]: 1, or 0 0 0 0 if excluded."""
+    image, mask = photograph.image.astype(np.float32) / 255, photograph.mask
+    if mask is not None:
+        image = np.concatenate([image, np.ones_like(image[..., :1])], axis=2) * mask[..., None]
+    return torch.from_numpy(image).to(device)
 
 
 @torch.no_grad()

@@ -150,7 +150,7 @@ def edit(file: Path, old: str, new: str):
 def refused(folder, *words, **arguments):
     """The error of reading a folder and all its images, which says all the words."""
     with pytest.raises(PhotographError) as caught:
-        [photograph.image for photograph in read_photographs(folder, **arguments).train]
+        [(photograph.image, photograph.mask) for photograph in read_photographs(folder, **arguments).train]
     message = str(caught.value)
     assert all(word in message for word in words), message
     assert caught.value.problem
@@ -249,7 +249,7 @@ def with_points(*places):
         (renamed(str.upper, str), []),
         (renamed(lambda name: f"Stra\u00dfe \u00e9 {name}", lambda name: f"STRASSE e\u0301 {name}"), []),
         (renamed(str, lambda name: name.removesuffix(".png")), []),
-        (lambda folder: (folder / "masks").mkdir(), ["masks is not used: make pixels transparent"]),
+        (lambda folder: (folder / "masks").mkdir(), ["10 photographs of 10 without a mask (masks/01.png.png"]),
         (lambda folder: write_text(folder / "sparse/1", *model(3, seed=1)), ["1 with 3 images is not used"]),
         (
             lambda folder: [(folder / "sparse/0").rename(folder / "sparse/12"), write_colmap(folder, count=2, seed=1)],
@@ -280,12 +280,33 @@ def test_folders_of_other_programs(made_so, noted, tmp_path):
         assert bool(noted) == bool(taken.notes)
 
 
+@pytest.mark.parametrize("name", ["{}.png", "{}.png.png"])
+@pytest.mark.parametrize("camera", [PINHOLE, ("RADIAL", WIDTH, HEIGHT, (35, 20, 15, 0.05, 0.01))])
+def test_a_mask_is_seen_as_its_photograph(camera, name, tmp_path):
+    """Photographs that show their masks in white are white where they count. Only black, of any format, is excluded."""
+    write_colmap(tmp_path, camera=camera)
+    (tmp_path / "masks").mkdir()
+    for i in range(1, COUNT):
+        mask = np.kron(pixels(i, WIDTH // 5, HEIGHT // 5)[..., 0] % 2, np.ones((5, 5), np.uint8))
+        Image.fromarray(255 * mask).save(tmp_path / f"images/{i:02}.png")
+        Image.fromarray(mask).save(tmp_path / "masks" / name.format(f"{i:02}"))
+    for size in (None, 30, 16):
+        taken = read_photographs(tmp_path, size)
+        assert taken.test[0].mask is None
+        assert "1 photograph of 10 without a mask" in taken.notes[0]
+        assert all(tmp_path / "masks" / name.format(p.path.stem) in taken.places() for p in taken.train)
+        for photograph in taken.train:
+            np.testing.assert_array_equal(photograph.mask, photograph.image[..., 0] >= 128)
+
+
 def test_notes_on_masks_and_small_images(nerf):
-    change(nerf, lambda d: [d["frames"][1].update(mask_path="masks/r_1.png"), d.update(w=40, h=30)])
+    write_images(nerf, ["r_1.png"], 20, 15)
+    change(nerf, lambda d: [d["frames"][1].update(mask_path="r_1.png"), d.update(w=40, h=30)])
     Image.fromarray(pixels(2, 20, 15)).save(nerf / "images/r_2.png")
     assert [len(read_photographs(nerf, size).notes) for size in (None, 20, (20, 15))] == [2, 1, 1]
     masked, small = read_photographs(nerf).notes
-    assert masked.startswith("the mask_path of 1 frames is not used")
+    assert masked.startswith("9 photographs of 10 without a mask")
+    assert read_photographs(nerf).train[0].mask.all()
     assert small.startswith("1 image of 10 smaller than the others")
     assert "r_2.png" in small
 
@@ -776,8 +797,11 @@ def test_the_background_is_that_of_the_pictures(make, tmp_path):
     make(tmp_path)
     assert read_photographs(tmp_path).background == (0, 0, 0)
     file = next((tmp_path / "images").glob("*.png"))
-    Image.open(file).convert("RGBA").save(file)
-    assert read_photographs(tmp_path).background == (255, 255, 255)
+    image = Image.open(file).convert("RGBA")
+    for alpha, background in ((255, (0, 0, 0)), (254, (255, 255, 255))):
+        image.putpixel((3, 2), (9, 9, 9, alpha))
+        image.save(file)
+        assert read_photographs(tmp_path).background == background
 
 
 def test_transparent_images(nerf):
@@ -953,7 +977,8 @@ BYTES = [
 ENTRIES = [
     # A document of others could have any picture of this machine put into a scene.
     *(("ply_file_path", name, None, "ply_file_path", repr(name), "file in the folder") for name in OUTSIDE),
-    *(("file_path", name, 0, "frame 0", "file_path", repr(name), "file in the folder") for name in OUTSIDE),
+    *((k, n, 0, "frame 0", k, repr(n), "file in the folder") for k in ("file_path", "mask_path") for n in OUTSIDE),
+    ("mask_path", "images/none.png", 3, "none.png", "the image is missing"),
     ("camera_angle_x", 0, None, "camera_angle_x is 0"),
     ("camera_angle_x", 4, None, "camera_angle_x is 4"),
     ("camera_angle_x", NAN, None, "transforms.json", "a number is nan"),
@@ -1003,6 +1028,10 @@ FAULTS = [
     ("both", written(images=1), "no image is left for training", "1 are held out"),
     ("both", lambda f: [(f / f"images/{i}.png").unlink() for i in ("02", "05")], "02.png", "is missing", "2 of the 10"),
     *(("both", pictured(make), "02.png", *words) for make, *words in PICTURES),
+    *(
+        ("both", lambda f, v=v: [(f / "masks").mkdir(), Image.fromarray(v).save(f / "masks/02.png")], "masks/02", word)
+        for v, word in ((DEEP, "format is I"), (DEEP < 0, "is everywhere"), (DEEP.T > 0, "not the shape of"))
+    ),
     ("text", turned_into_a_folder, "points3D.txt", "directory"),
     ("text", lambda f: (f / "sparse/0/images.txt").write_bytes(b"\xff\xfe\x00"), "images.txt", "not text in UTF-8"),
     *(("text", in_text(*row[:3]), *row[3:]) for row in LINES),

@@ -167,7 +167,18 @@ def test_measures() -> None:
     # A value past white counts as white.
     assert measures(np.full((14, 17, 3), 7.0), np.full((14, 17, 3), 255, np.uint8))["psnr_3dgs"] == np.inf
     made = np.clip(photograph / 255 + rng.normal(0, 0.2, photograph.shape), 0, 1)
-    assert measures(made, photograph)["ssim_3dgs"] == pytest.approx(by_loops(made, photograph / 255), abs=1e-12)
+    right = measures(made, photograph)
+    assert right["ssim_3dgs"] == pytest.approx(by_loops(made, photograph / 255), abs=1e-12)
+    # An exposure of its own costs nothing in the best colours; those of a plain image are the means.
+    assert measures(0.3 + photograph / 510, photograph)["psnr_cc"] > 100 > right["psnr_cc"] > right["psnr_3dgs"]
+    error = np.mean((photograph / 255).var(axis=(0, 1)))
+    assert measures(np.full((14, 17, 3), 0.7), photograph)["psnr_cc"] == pytest.approx(-10 * np.log10(error))
+    # What a mask excludes does not count, whatever it is.
+    mask = rng.random((14, 17)) < 0.5
+    other = [np.where(mask[..., None], values, rng.permutation(values)) for values in (made, photograph)]
+    masked, error = measures(*other, mask), np.mean((made - photograph / 255)[mask] ** 2)
+    assert masked == measures(made, photograph, mask) != right
+    assert masked["psnr_3dgs"] == pytest.approx(-10 * np.log10(error))
 
 
 # --- commands ---------------------------------------------------------------------------------------------------------
@@ -202,7 +213,8 @@ def test_eval(file: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["eval", file, str(PHOTOGRAPHS), "--size", "40x30", "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
     assert result["bytes"] == Path(file).stat().st_size == sum(result["parts"].values())
-    assert set(result["mean"]) == {"psnr", "ssim", "psnr_3dgs", "ssim_3dgs"}
+    assert set(result["mean"]) == {"psnr", "ssim", "psnr_3dgs", "ssim_3dgs", "psnr_cc"}
+    assert (result["excluded"], result["masks"]) == (0, "")
     assert set(result["decode_seconds"]) == {"planes", "chunks", "total"}
     assert {"positions", "masks", "attributes", "planes", "weights"} <= set(result["parts"])
     assert result["held_out"]

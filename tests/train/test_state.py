@@ -190,6 +190,9 @@ def test_other_trainings_versions_and_files_are_refused(kept: Kept, tmp_path: Pa
         restore(Trainer(photographs, varied(kept.chosen, {"rate.lambda_r": 0.01})), kept.path)
     with pytest.raises(StateError, match=r"other photographs$"):
         restore(Trainer(replace(photographs, train=photographs.train[1:]), kept.chosen), kept.path)
+    masked = tuple(replace(p, load_mask=lambda: torch.ones(75, 100).bool().numpy()) for p in photographs.train)
+    with pytest.raises(StateError, match=r"other masks$"):
+        restore(Trainer(replace(photographs, train=masked), kept.chosen), kept.path)
     kept.write(kept.tensors, kept.values, version="1")
     with pytest.raises(StateError, match=r"its format is .* remove it, or write the scene to another folder$"):
         restore(trainer, kept.path)

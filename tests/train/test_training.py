@@ -17,8 +17,10 @@ from torch import Tensor
 
 from refcodec.bitstream.codec import emit, parse
 from refcodec.bitstream.scene import Scene
+from refcodec.evaluate.evaluation import evaluate
 from refcodec.photographs.photographs import Photograph, PhotographSet
 from refcodec.train.command import report, train
+from refcodec.train.messages import opening
 from refcodec.train.settings import TrainSettings
 from refcodec.train.settings_file import varied
 from refcodec.train.stage import Stage, Step
@@ -114,6 +116,29 @@ def test_variations(change: dict[str, Any], photographs: PhotographSet, small: T
     assert result.render.low_pass == np.float32(change.get("low_pass", 0.1))
     assert result.masks.all() or change.get("masks.used", True)
     assert parse(emit(result)).scene.anchor_count == result.anchor_count
+
+
+def test_what_masks_of_photographs_exclude_is_not_learned(write_ball: Any, small: TrainSettings) -> None:
+    """Whatever is there, opaque or transparent, the file has the same bytes, and the figures are the same."""
+    ball, mask = write_ball("ball", "RGBA"), np.add.outer(np.arange(48), np.arange(48))[..., None] % 60 < 45
+
+    def run(*garbage: int) -> list[Any]:
+        def masked(p: Photograph) -> Photograph:
+            load = lambda over: np.where(mask, p.load(over), np.uint8(garbage or over))  # noqa: E731
+            return replace(p, load=load, load_mask=lambda: mask[..., 0])
+
+        photographs = replace(ball, train=tuple(map(masked, ball.train)), test=tuple(map(masked, ball.test)))
+        trainer = Trainer(photographs, varied(small, {"steps": 40, "start.drawn": 1000}))
+        trainer.run(lambda _: None)
+        result, said = trainer.result(), opening(trainer)
+        assert isinstance(result, Scene)
+        data, facts = emit(result), report(trainer, result)
+        shown = evaluate(data, photographs, None, lambda *_: None)
+        assert shown["mean"]["psnr_3dgs"] == pytest.approx(facts["psnr"], abs=0.02)
+        assert shown["masks"] == "masks: 3 photographs, 27.7 % of pixels are excluded"
+        return [data, said, facts["psnr"], trainer.looks.recent, shown["images"]]
+
+    assert run() == run(9, 90, 200)
 
 
 def test_masks_move(trained: Trainer) -> None:
