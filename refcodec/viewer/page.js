@@ -18,7 +18,8 @@ const MEMBERS_MAX = 4;
 const BUDGET = { small: 1_000_000, large: 4_000_000 };
 // The most device pixels per CSS pixel: more are not visible.
 const RATIO_MAX = 2;
-const LOST = "The graphics device was lost: load the page again";
+// How often a lost device is taken again before a scene is drawn: the scene may be the reason.
+const LOSSES_MAX = 3;
 const KEYS = { KeyW: [2, 1], KeyS: [2, -1], KeyD: [0, 1], KeyA: [0, -1], KeyE: [1, -1], KeyQ: [1, 1] };
 
 const byId = (id) => document.getElementById(id);
@@ -49,14 +50,15 @@ class Viewer {
     this.drawing = new Drawing(this.canvas);
     this.pressed = new Set();
     this.pointers = new Map();
-    Object.assign(this, { waiting: [], workers: [] });
+    Object.assign(this, { waiting: [], workers: [], losses: 0 });
     this.share = 1;
     this.#listen();
   }
 
   // Opens a file in place of the current one. input: bytes or a Blob. text: bytes in base64. url: its address, without
   // the others.
-  async open({ input, text, url, name }) {
+  async open(given) {
+    const { input, text, url, name } = (this.given = given);
     this.#stop();
     // Callers that wait for the previous file wait for this one.
     const opening = (this.opening = {});
@@ -66,7 +68,7 @@ class Viewer {
     Object.assign(this, { pose: undefined, lens: undefined, camera: undefined, number: undefined });
     this.panel.begin(name);
     this.drawing.clear();
-    if (this.drawing.gl.isContextLost()) return this.on_refused({ kind: "fault", text: LOST });
+    if (this.drawing.gl.isContextLost()) return this.on_refused({ kind: "lost" });
     try {
       this.wasm ??= await unpacked("wasm");
       // A page from a disk cannot load a worker from another file.
@@ -135,6 +137,7 @@ class Viewer {
   #extend(middle, radius) {
     this.extent = { middle, radius };
     if (!this.touched) this.#start();
+    this.ask();
   }
 
   async on_frame(frame) {
@@ -155,6 +158,17 @@ class Viewer {
     this.drawing.clear();
     this.panel.refuse(this.name, error, reason);
     this.#tell();
+  }
+
+  // Opens the file again, with the camera of before.
+  #restore() {
+    const { given, pose, lens, camera, number } = this;
+    this.drawing = new Drawing(this.canvas);
+    if (given === undefined) return this.panel.wait();
+    this.open(given);
+    if (pose === undefined) return;
+    Object.assign(this, { pose, lens, camera, number, touched: true });
+    this.changed();
   }
 
   // The first camera, or one that looks at the scene from above. The extent of the scene may grow later.
@@ -259,7 +273,10 @@ class Viewer {
     this.drawing.draw(this.pose, lens, share);
     const box = [left, top, this.lens.width * scale, this.lens.height * scale].map((side) => side / ratio);
     this.panel.photograph(this.camera?.isPhotograph ? this.camera : undefined, box);
-    if (this.settled !== undefined && this.settled === this.view) this.panel.done();
+    if (this.settled !== undefined && this.settled === this.view) {
+      this.losses = 0;
+      this.panel.done();
+    }
     this.#tell();
   }
 
@@ -317,7 +334,12 @@ class Viewer {
     };
     for (const name of ["pointerup", "pointercancel", "lostpointercapture"]) canvas.addEventListener(name, released);
     canvas.addEventListener("contextmenu", (event) => event.preventDefault());
-    canvas.addEventListener("webglcontextlost", () => this.on_refused({ kind: "fault", text: LOST }));
+    canvas.addEventListener("webglcontextlost", (event) => {
+      // Otherwise the device does not return.
+      if (this.losses++ < LOSSES_MAX) event.preventDefault();
+      this.on_refused({ kind: "lost" });
+    });
+    canvas.addEventListener("webglcontextrestored", () => this.#restore());
     const wheel = (event) => {
       event.preventDefault();
       if (this.pose === undefined) return;

@@ -18,6 +18,7 @@ const REASONS = {
   unsupported: ["This page does not support the file's version or profile", "A later refcodec may support it."],
   bound: ["This file is too large for the page", "A lower ?budget= may do. refcodec render needs no page."],
   memory: ["Out of memory", "Close other pages and programs, and load this page again."],
+  lost: ["The graphics device was lost", "The scene returns with it. If it does not, load this page again."],
   fault: ["This file cannot be shown", ""],
 };
 const CONVERT = [
@@ -91,7 +92,7 @@ export class Panel {
 
   // Shows that no file is open.
   wait() {
-    this.#hide("status", "head");
+    this.#hide("status", "head", "error");
     byId("drop").hidden = false;
   }
 

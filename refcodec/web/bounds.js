@@ -9,7 +9,7 @@ const WEIGHT = 32;
 const PLANE_POINT = 8;
 const DECODING = 56;
 const HOLDING = 8;
-const CHUNK = 192;
+export const CHUNK = 192;
 const HELD_CHUNK = 2048;
 // Memory of Gaussians, in draw.c and gaussians.js: bytes per anchor, per anchor and unit of the hidden layers of the
 // three networks, and per kept offset.
@@ -53,6 +53,18 @@ export function gaussiansBytes(header, count, kept) {
   if (isStatic(header)) return count * STATIC_ANCHOR + kept * (STATIC_KEPT + 4 * splatWidth(header));
   const { render_width: width } = header;
   return count * (ANCHOR + UNIT * 4 * Math.ceil(width / 4)) + kept * KEPT;
+}
+
+// What is held besides, for the adapters: functions of further bytes by the arrays that Gaussians returned.
+const limits = new WeakMap();
+
+export function limited(arrays, limit) {
+  limits.set(arrays, limit);
+  return arrays;
+}
+
+export function checkMore(arrays, bytes) {
+  limits.get(arrays)?.(bytes);
 }
 
 // The same for file bytes that are in memory together.

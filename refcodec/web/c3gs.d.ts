@@ -297,7 +297,8 @@ export interface Added {
  */
 export class Gaussians {
   /**
-   * scene: from `decode`, `decodeAll`, `open` or a chunk. maxMemory: for decoding and added chunks together. Throws
+   * scene: from `decode`, `decodeAll`, `open` or a chunk. maxMemory: for decoding, added chunks and what a method or an
+   * adapter returns together; they throw BoundPassedError before they allocate more. Throws
    * RenderModelError if header.render_model is not 0 or 1.
    */
   constructor(scene: Scene, options?: Pick<Options, "maxAnchors" | "maxMemory">);

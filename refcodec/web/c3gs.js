@@ -4,6 +4,7 @@ import { checkBounds, checkBytes } from "./bounds.js";
 import { chunkError, entries, parseIndex, readChunk } from "./chunks.js";
 import {
   anchorArrays, checkData, checkEnd, features, isAncillary, isStatic, parseFrame, passSection, readHeader, readSection,
+  splatWidth,
 } from "./container.js";
 import { RenderModelError } from "./errors.js";
 import { loadKernel, shareKernel } from "./kernel.js";
@@ -92,7 +93,11 @@ class Scene {
 
   splat(anchors) {
     if (this.#splatter === undefined) throw new RenderModelError(this.header.render_model, "only 1 is static");
-    return this.#splatter.splat(anchors);
+    const h = this.header;
+    // Decoding counts the Gaussians of one chunk.
+    const isMore = anchors.count > h.chunk_size;
+    const check = (kept) => checkBounds(this.#options, h, anchors.count, 4 * splatWidth(h) * kept);
+    return this.#splatter.splat(anchors, isMore ? check : () => {});
   }
 
   async readAncillary() {

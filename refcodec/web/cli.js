@@ -134,7 +134,7 @@ async function see(input, centre, output) {
 async function staged(output, inputs, make) {
   const status = (name) => fs.statSync(name, { bigint: true, throwIfNoEntry: false });
   const there = status(output);
-  if (there !== undefined && !there.isFile()) return written(output, "w", make);
+  if (there !== undefined && !there.isFile()) return written(output, "w", make, output);
   for (const name of inputs) {
     const read = status(name);
     if (there !== undefined && read?.dev === there.dev && read.ino === there.ino) {
@@ -144,7 +144,7 @@ async function staged(output, inputs, make) {
   const place = there === undefined ? output : fs.realpathSync(output);
   const beside = path.join(path.dirname(place), `.c3gs-${randomUUID()}`);
   try {
-    await written(beside, "wx", make);
+    await written(beside, "wx", make, output);
     fs.renameSync(beside, place);
   } catch (error) {
     fs.rmSync(beside, { force: true });
@@ -152,12 +152,18 @@ async function staged(output, inputs, make) {
   }
 }
 
-async function written(name, flags, make) {
-  const file = fs.openSync(name, flags);
+// shown: the output in errors.
+async function written(name, flags, make, shown) {
+  let file;
   try {
+    file = fs.openSync(name, flags);
     await make(file);
+  } catch (error) {
+    // The others are of the input.
+    if (["open", "write"].includes(error.syscall)) error.message = `${shown}: ${error.message.split(",")[0]}`;
+    throw error;
   } finally {
-    fs.closeSync(file);
+    if (file !== undefined) fs.closeSync(file);
   }
 }
 

@@ -1,10 +1,13 @@
 // The Gaussians that are visible from a place (SPEC.md 14.3 and 14.6).
-import { checkBounds, gaussiansBytes } from "./bounds.js";
+import { CHUNK, checkBounds, gaussiansBytes, limited } from "./bounds.js";
 import { centreOf } from "./camera.js";
-import { isStatic } from "./container.js";
+import { isStatic, splatWidth } from "./container.js";
 import { RenderModelError } from "./errors.js";
 import { kernelOf, PIECE, VIEW } from "./kernel.js";
 import { checkedArrays, StaticRenderer } from "./splat.js";
+
+// Bytes of a Gaussian of a view.
+const SEEN = Object.values(VIEW).reduce((sum, [type, width]) => sum + type.BYTES_PER_ELEMENT * width, 0);
 
 // Returns the number of kept offsets before each anchor, and in total.
 function slotsOf(masks, count, offsets) {
@@ -80,6 +83,8 @@ export class Gaussians {
   // For each chunk: what the renderer keeps of it, its slots, and the place of its last view.
   #own = [];
   #options;
+  // The most anchors of `decodeAll` that were added at once, which the caller may hold.
+  #held = 0;
 
   constructor(scene, options = {}) {
     this.#options = options;
@@ -100,8 +105,8 @@ export class Gaussians {
     const slots = slotsOf(chunk.masks, count, this.scene.header.offset_count);
     const kept = slots[count];
     const [start, slot] = [this.anchorCount, this.slotCount];
-    const { header } = this.scene;
-    checkBounds(this.#options, header, 0, gaussiansBytes(header, start + count, slot + kept));
+    if (count > this.scene.header.chunk_size) this.#held = Math.max(this.#held, count);
+    this.#check(0, count, kept);
     const drawn = this.#renderer.add(chunk, arrays, kept);
     const { number, first = 0 } = chunk;
     this.chunks.push({ number, start, end: start + count, kept, slot, ...boundsOf(chunk.positions) });
@@ -109,6 +114,13 @@ export class Gaussians {
     this.anchorCount += count;
     this.slotCount += kept;
     return this.chunks.length - 1;
+  }
+
+  // Throws BoundPassedError before further bytes, anchors and kept offsets exceed the bounds.
+  #check(bytes, anchors = 0, kept = 0) {
+    const { header } = this.scene;
+    const own = gaussiansBytes(header, this.anchorCount + anchors, this.slotCount + kept);
+    checkBounds(this.#options, header, this.#held, own + bytes);
   }
 
   clear() {
@@ -150,14 +162,18 @@ export class Gaussians {
         this.#renderer.draw(drawn, slots, low, high, place, first, view);
       }
     }
-    return out ?? trimmed(view);
+    if (out !== undefined || view.count === most) return view;
+    this.#check(SEEN * (most + view.count));
+    return trimmed(view);
   }
 
   plain() {
     const { header } = this.scene;
     if (!isStatic(header)) throw new RenderModelError(header.render_model, "only 1 is static");
     const widths = { positions: 3, scales: 3, rotations: 4, opacities: 1, harmonics: header.colour_outputs };
-    const whole = { count: this.slotCount };
+    const bytes = 4 * splatWidth(header) * this.slotCount;
+    this.#check(bytes);
+    const whole = limited({ count: this.slotCount }, (more) => this.#check(bytes + more));
     for (const [name, width] of Object.entries(widths)) {
       whole[name] = new Float32Array(width * this.slotCount);
       this.chunks.forEach(({ slot }, i) => whole[name].set(this.#own[i].drawn[name], width * slot));
@@ -168,6 +184,7 @@ export class Gaussians {
   // SPEC E.2
   enlarge(view) {
     const { positions: p, scales: l, count } = view;
+    this.#check(SEEN * (p.length / 3) + 8 * count + CHUNK * this.scene.header.chunk_count);
     const least = this.anchorCount / this.scene.header.anchor_count;
     const there = new Set(this.chunks.map(({ number }) => number));
     const boxes = Array.from(this.scene.entries(), ({ number, count, low, high }) => {
@@ -202,6 +219,7 @@ export class Gaussians {
   }
 
   room(size) {
+    this.#check(SEEN * size);
     const arrays = Object.entries(VIEW).map(([name, [type, width]]) => [name, new type(width * size)]);
     return { count: 0, ...Object.fromEntries(arrays) };
   }

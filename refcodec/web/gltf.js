@@ -22,16 +22,16 @@ function widthsOf(harmonics) {
   return widths;
 }
 
-// Sets the attributes of some Gaussians of 9.4, from Gaussian `first` on. Means and harmonics keep their bits.
+// Sets the attributes of some Gaussians of 9.4, from Gaussian `first` on. Finite means and harmonics keep their bits.
 function fill(attributes, { count, means, logLengths, quaternions, logits, harmonics }, first) {
   const [position, rotation, scale, opacity, ...colours] = Object.values(attributes);
-  position.set(means, 3 * first);
+  means.forEach((x, i) => (position[3 * first + i] = Math.min(Math.max(x, -LARGEST), LARGEST)));
   logLengths.forEach((x, i) => (scale[3 * first + i] = Math.min(Math.exp(x), LARGEST)));
   logits.forEach((x, i) => (opacity[first + i] = 1 / (1 + Math.exp(-x))));
   for (let i = 0; i < count; i++) {
-    const [w, x, y, z] = quaternions.subarray(4 * i, 4 * i + 4);
+    const w = quaternions[4 * i], x = quaternions[4 * i + 1], y = quaternions[4 * i + 2], z = quaternions[4 * i + 3];
     const length = Math.sqrt(w * w + x * x + y * y + z * z);
-    [x, y, z, w].forEach((part, at) => (rotation[4 * (first + i) + at] = part / length));
+    for (let at = 0; at < 4; at++) rotation[4 * (first + i) + at] = quaternions[4 * i + ((at + 1) & 3)] / length;
     colours.forEach((colour, n) => {
       const from = 3 * (colours.length * i + n);
       for (let c = 0; c < 3; c++) colour[3 * (first + i) + c] = harmonics[from + c];
@@ -50,7 +50,9 @@ export async function decodeAttributes(input, options = {}) {
       if (header.render_model !== 1) value.scene.splat(value);
       let count = 0;
       for (const { kept } of value.scene.entries()) count += kept;
-      checkBounds(options, header, 0, 4 * splatWidth(header) * count);
+      // The Gaussians of the last two chunks may still be there when those of the next one are.
+      const last = 2 * header.offset_count * Math.min(header.chunk_size, header.anchor_count);
+      checkBounds(options, header, 0, 4 * splatWidth(header) * (count + last));
       const widths = Object.entries(widthsOf(header.colour_outputs / 3));
       const attributes = widths.map(([name, width]) => [name, new Float32Array(width * count)]);
       found = { header, count, attributes: Object.fromEntries(attributes) };

@@ -10,7 +10,7 @@ class Whole {
   }
 
   async read(start, size) {
-    return this.bytes.subarray(start, start + size);
+    return bytesOf(this.bytes).subarray(start, start + size);
   }
 
   async length() {
@@ -98,9 +98,14 @@ class Ranges {
 
 // A slice of Node's Buffer is not a copy, thus a Buffer becomes a plain Uint8Array.
 function bytesOf(block) {
-  if (block instanceof ArrayBuffer) return new Uint8Array(block);
-  if (ArrayBuffer.isView(block)) return new Uint8Array(block.buffer, block.byteOffset, block.byteLength);
-  throw new TypeError("bytes are a Uint8Array, an ArrayBuffer or a view of one");
+  if (!(block instanceof ArrayBuffer || ArrayBuffer.isView(block))) {
+    throw new TypeError("bytes are a Uint8Array, an ArrayBuffer or a view of one");
+  }
+  try {
+    return new Uint8Array(block.buffer ?? block, block.byteOffset, block.byteLength);
+  } catch {
+    throw new TypeError("the bytes are not there any more, since their ArrayBuffer was transferred");
+  }
 }
 
 // Returns the source for an input: bytes, a Blob, a Response, a stream, a list of blocks, or {read, length}.

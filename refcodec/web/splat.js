@@ -36,12 +36,13 @@ export class Splatter {
     this.#networks = kernel.makeSplatter(scene, ...last, exponent.subarray(exponent.length - rows));
   }
 
-  // Returns the arrays, and count, the number of Gaussians.
-  splat(anchors) {
+  // Returns the arrays, and count, the number of Gaussians. check: called with this number first.
+  splat(anchors, check) {
     const arrays = checkedArrays(this.#scene, anchors);
     const names = Object.entries(this.#widths);
     const keptOf = (masks) => masks.reduce((sum, mask) => sum + (mask !== 0 ? 1 : 0), 0);
     const whole = keptOf(anchors.masks);
+    check(whole);
     const found = { count: 0 };
     for (const [name, width] of names) found[name] = new Float32Array(width * whole);
     for (let from = 0; from < anchors.count; from += PIECE) {
@@ -56,7 +57,8 @@ export class Splatter {
   }
 }
 
-// STATIC_GAUSSIAN except the colours, in place of the numbers of a splat. Opacity 0 marks a Gaussian that is not drawn.
+// STATIC_GAUSSIAN except the colours, in place of the numbers of a splat. Opacity 0 marks a Gaussian that is not drawn,
+// since it is transparent or a number of it is infinite.
 export function activated({ count, means: positions, logLengths: scales, quaternions: rotations, logits, harmonics }) {
   const opacities = logits;
   for (let i = 0; i < scales.length; i++) scales[i] = Math.exp(scales[i]);
@@ -68,7 +70,10 @@ export function activated({ count, means: positions, logLengths: scales, quatern
     opacities[i] = 1 / (1 + Math.exp(-logits[i]));
     let check = 0;
     for (let at = 3 * i; at < 3 * i + 3; at++) check += positions[at] * 0 + scales[at] * 0;
-    if (check !== 0) opacities[i] = 0;
+    // The other numbers are the only ones that can be infinite, which would spread over bounds and images.
+    if (check === 0) continue;
+    opacities[i] = 0;
+    for (const own of [positions, scales]) own.fill(0, 3 * i, 3 * i + 3);
   }
   return { count, positions, scales, rotations, opacities, harmonics };
 }

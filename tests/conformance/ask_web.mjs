@@ -83,19 +83,6 @@ async function changes(bytes, { first, second }) {
   return { added, changes: [...gaussians.changes(second)] };
 }
 
-// Adds all anchors again and again, until the bounds refuse them. The fourth time is one too many.
-async function held(bytes, options) {
-  const { scene, anchors } = await decodeAll(bytes);
-  const gaussians = new Gaussians(scene, options);
-  try {
-    for (let i = 0; i < 4; i++) gaussians.add(anchors);
-  } catch (error) {
-    if (!(error instanceof BoundPassedError)) throw error;
-    return { bound: error.bound, needed: error.needed, added: gaussians.anchorCount, chunks: gaussians.chunks.length };
-  }
-  return { added: gaussians.anchorCount };
-}
-
 // The numbers of the header, and the error of drawing.
 async function drawing(bytes) {
   const { scene } = await decodeAll(bytes);
@@ -131,7 +118,7 @@ async function answer({ file, way, number, options, ...rest }, chunks) {
   if (way === "centre") return { centre: [...centreOf(rest.camera, rest.object)] };
   if (way === "upright") return { matrix: [...uprightMatrix({ up_axis: rest.axis })] };
   if (way === "changes") return changes(bytes, rest);
-  if (way === "held") return held(bytes, options);
+  if (way === "held") return new Gaussians((await decodeAll(bytes)).scene, options).room(1);
   if (way === "views") return views(bytes, rest.place);
   if (way === "plain") return plain(bytes);
   if (way === "enlarged") {

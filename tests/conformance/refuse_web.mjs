@@ -1,10 +1,20 @@
 // Calls c3gs.js wrongly, and says which error each call got.
 import fs from "node:fs";
 import { centreOf, decodeAll, Gaussians } from "../../refcodec/web/c3gs.js";
+import { sourceOf } from "../../refcodec/web/source.js";
 
 const { scene, anchors } = await decodeAll(fs.readFileSync(process.argv[2]));
 const gaussians = new Gaussians(scene);
 const place = [0, 0, 0];
+const gone = [new ArrayBuffer(9), new Uint8Array(9)];
+gone.forEach((bytes) => structuredClone(bytes, { transfer: [bytes.buffer ?? bytes] }));
+const transferred = (bytes) => {
+  try {
+    sourceOf(bytes);
+  } catch (error) {
+    if (error.message.includes("transferred")) throw error;
+  }
+};
 const calls = {
   "no scene": () => new Gaussians({ ...scene }),
   "no arrays": () => gaussians.add({ count: 1 }),
@@ -22,6 +32,8 @@ const calls = {
   "two numbers": () => gaussians.all([0, 0]),
   "NaN": () => gaussians.all([0, NaN, 0]),
   "a text": () => gaussians.all("abc"),
+  "a transferred buffer": () => transferred(gone[0]),
+  "a view of one": () => transferred(gone[1]),
   "a flat object": () => centreOf(place, { matrixWorld: { elements: new Float32Array(16) } }),
 };
 const outcome = (call) => {

@@ -12,19 +12,23 @@ import shlex
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from hostile_files import FILES, GREEDY, SCENES, cuts
 from web_program import MISSING, NODE, PACKAGE, PROGRAM, WEB, Decoder
 
+from benchmarks.large import made_static
 from conformance import cli
 from conformance.cases.target import Target
 from conformance.manifest import VECTORS
 from refcodec import statuses
 from refcodec.bitstream import bounds, codec, reader, reconstruction, source, tables
 from refcodec.bitstream.header import read_header
+from refcodec.bitstream.scene import take_anchors
 
 # The ways in which a file can be given to `decode`.
 WAYS = ["bytes", "blob", "response", "iterable", "stream"]
@@ -149,20 +153,28 @@ def test_bounds_that_are_none(decoder: Decoder, name: str, value: object) -> Non
             decoder.ask(FILES["raw"], way, options={name: value}, number=0, size=100)
 
 
-def test_bounds_count_gaussians(decoder: Decoder) -> None:
-    """What has been added and what is added next are counted with decoding, before more memory is taken."""
-    for name, scene in SCENES.items():
-        count, kept, width = len(scene.positions), int(scene.masks.sum()), scene.dimensions.render_width
-        header = read_header(source.WholeFile(FILES[name]))
-        decoding = bounds.memory_needed(header, min(count, header.chunk_size))
-        # Three networks of floats, their width filled up to vectors of four, and positions, axes and sums of offsets.
-        once = count * (3 * 4 * -(-width // 4) * 4 + 3 * 4 + 3 * 4 + 2 * 4) + kept * (3 * 4 + 1)
-        answer = decoder.ask(FILES[name], "held", options={"maxMemory": decoding + 3 * once})
-        if not count:
-            assert answer["added"] == 0
-            continue
-        assert (answer["bound"], answer["needed"]) == ("memory", decoding + 4 * once)
-        assert (answer["added"], answer["chunks"]) == (3 * count, 3)
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="memory is read from /proc")
+@pytest.mark.slow
+@pytest.mark.parametrize("is_static", [False, True])
+def test_what_a_function_takes_is_within_its_bound(is_static: bool, tmp_path: Path) -> None:
+    """Each exported function and method is listed. The memory of the whole process is measured, less that of Node."""
+    scene = codec.parse((VECTORS / "valid" / "trained-snowmiku.c3gs").read_bytes()).scene
+    scene = replace(made_static(scene, 3) if is_static else scene, position_model=None)
+    rows = np.resize(np.arange(scene.anchor_count), 40_000)
+    (tmp_path / "many.c3gs").write_bytes(codec.emit(take_anchors(scene, rows)))
+
+    def ask(*words: object) -> dict[str, Any]:
+        line = [str(NODE), *map(str, (Path(__file__).with_name("bounds_web.mjs"), tmp_path / "many.c3gs", *words))]
+        answer: dict[str, Any] = json.loads(subprocess.check_output(line))
+        return answer
+
+    listed = ask()
+    assert listed["unlisted"] == []
+    for name in listed["names"]:
+        least = ask(name)
+        assert not is_static or "bound" in least, name
+        if "bound" in least:
+            assert ask(name, least["bound"])["taken"] < least["bound"], name
 
 
 # ----------------------------------------------------------------------------------------------------- the program ---
@@ -188,7 +200,9 @@ def test_the_program(tmp_path: Path) -> None:
         assert (verdict, json.loads(stderr)["code"]) == (status, code)
     for words in ((), ("decode",), ("encode", "a", "b"), ("decode", tmp_path / "none", output)):
         assert run(*words)[0] == statuses.USAGE
-    assert run("decode", VECTORS / "tiny-example.c3gs", "/dev/full")[0] == statuses.USAGE
+    for name, reason in (("/dev/full", "ENOSPC"), (f"{tmp_path}/none/output", "ENOENT")):
+        status, stderr = run("decode", VECTORS / "tiny-example.c3gs", name)
+        assert (status, stderr.startswith(f"c3gs: {name}: {reason}: ")) == (statuses.USAGE, True)
 
 
 # ----------------------------------------------------------------------------------------------------- the package ---

@@ -447,12 +447,31 @@ def test_a_file_after_another(browser: Chromium, trained: Path, tmp_path: Path) 
 
 
 def test_the_device_is_lost(browser: Chromium, trained: Path, tmp_path: Path) -> None:
-    """The page says so, also for a file that is chosen later."""
+    """The page says so, also for a file that is chosen later. Both return with it, to the camera of before."""
     _show(browser, tmp_path, trained.read_bytes())
-    browser.run("c3gs.drawing.gl.getExtension('WEBGL_lose_context').loseContext()")
+    browser.run("c3gs.changed({ ...c3gs.pose, centre: c3gs.pose.centre.map((x) => x + 0.25) }); c3gs.settle()")
+    before = browser.run("[c3gs.pose, c3gs.drawing.count]"), _edge(browser)
+    browser.run("globalThis.device = c3gs.drawing.gl.getExtension('WEBGL_lose_context')")
+    # The second time it is lost while the scene loads.
+    for _ in range(2):
+        browser.run("device.loseContext()")
+        browser.until("!document.getElementById('error').hidden")
+        assert "device was lost" in _text(browser, "#error")
+        assert "file" not in _text(browser, "#error").partition("Open another file")[0]
+        with pytest.raises(BrowserError, match="lost"):
+            browser.run("c3gs.settle()")
+        browser.run("device.restoreContext()")
+        browser.until("document.getElementById('error').hidden")
+    browser.run("c3gs.settle()")
+    assert browser.run("[c3gs.pose, c3gs.drawing.count]") == before[0]
+    assert (_edge(browser) == before[1]).all()
+    browser.run("device.loseContext()")
     browser.until("!document.getElementById('error').hidden")
-    assert "device was lost" in _text(browser, "#error")
     browser.run(f"c3gs.open({{ input: {_input((VALID / 'empty.c3gs').read_bytes())}, name: 'next' }})")
-    with pytest.raises(BrowserError, match="device was lost"):
+    with pytest.raises(BrowserError, match="lost"):
         browser.run("c3gs.settle()")
     assert _text(browser, "#title") == "next"
+    browser.run("device.restoreContext()")
+    browser.until("c3gs.header !== undefined")
+    browser.run("c3gs.settle()")
+    assert browser.run("c3gs.header.anchor_count") == 0
