@@ -26,21 +26,19 @@ const whole = (call) => async () => {
 };
 const adapted = ([adapter, call]) => [adapter, held((gaussians) => [(gaussians = gaussians.plain()), call(gaussians)])];
 const calls = {
-  decode: async () => {
-    for await (const _ of c3gs.decode(bytes, options));
-  },
+  decode: async () => { for await (const _ of c3gs.decode(bytes, options)); },
   decodeAll: whole(() => {}),
   decodeChunk: () => c3gs.decodeChunk(bytes, 0, options),
   open: async () => (await c3gs.open(bytes, options)).chunk(0),
   decodeAttributes: () => gltf.decodeAttributes(bytes, options),
   splat: whole(({ scene, anchors }) => scene.splat(anchors)),
   add: whole(({ scene, anchors }) => [scene = new c3gs.Gaussians(scene, options), scene.add(anchors)]),
-  chunk: held((gaussians) => gaussians.chunk(0, place)),
-  range: held((gaussians) => gaussians.range(0, gaussians.anchorCount, place)),
-  all: held((gaussians) => gaussians.all(place)),
-  room: held((gaussians) => gaussians.all(place, gaussians.room(gaussians.slotCount))),
-  enlarge: held((gaussians) => gaussians.enlarge(gaussians.all(place))),
-  plain: held((gaussians) => gaussians.plain()),
+  chunk: held((own) => own.chunk(0, place)),
+  range: held((own) => own.range(0, own.anchorCount, place)),
+  all: held((own) => own.all(place)),
+  room: held((own) => own.all(place, own.room(own.slotCount))),
+  enlarge: held((own) => own.enlarge(own.all(place))),
+  plain: held((own) => own.plain()),
   ...Object.fromEntries(Object.entries(adapters).map(adapted)),
 };
 // These take no memory that grows with a file. The plugin calls decodeAttributes.
@@ -63,16 +61,13 @@ if (name !== undefined) {
   [bytes, options.maxMemory] = [given, most];
 }
 const before = peak();
-while (name !== undefined) {
+for (let said; name !== undefined && said === undefined; ) {
   try {
     globalThis.kept = await calls[name]();
-    console.log(JSON.stringify({ bound: options.maxMemory, taken: peak() - before }));
+    said = { bound: options.maxMemory, taken: peak() - before };
   } catch (error) {
-    if (error instanceof c3gs.BoundPassedError && bound === undefined) {
-      options.maxMemory = error.needed;
-      continue;
-    }
-    console.log(JSON.stringify({ error: error.name, text: bound === undefined ? error.message : undefined }));
+    if (error instanceof c3gs.BoundPassedError && bound === undefined) options.maxMemory = error.needed;
+    else said = { error: error.name };
   }
-  break;
+  if (said !== undefined) console.log(JSON.stringify(said));
 }
