@@ -74,6 +74,8 @@ class _Gltf:
         """Raises ContentError."""
         if len(data) < HEAD.size or HEAD.unpack_from(data)[:2] != (b"glTF", 2):
             raise ContentError("it is not a GLB file of glTF 2.0")
+        if (stated := HEAD.unpack_from(data)[2]) > len(data):
+            raise ContentError(f"it states {stated} bytes, but has {len(data)}: it is cut", "copy or export it again")
         text, place = _chunk(data, HEAD.size, b"JSON", JSON_MAX)
         self.data, _ = _chunk(data, place, b"BIN\0", DATA_MAX)
         self.root = Document("chunk JSON", text, JSON_MAX)

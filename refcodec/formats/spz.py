@@ -82,7 +82,7 @@ class _Parts:
 def read(data: Data) -> Splats:
     """Returns the Gaussians of a file. Raises ContentError."""
     packed = data[:2] == GZIP
-    first = _gunzipped(data, HEADER.size) if packed else data[: HEADER.size]
+    first = _gunzipped(data, HEADER.size, whole=False) if packed else data[: HEADER.size]
     if len(first) < HEADER.size or first[:4] != MAGIC:
         raise ContentError("it is not an SPZ file")
     _, version, count, stated, fraction, flags, streams = HEADER.unpack(first)
@@ -95,8 +95,8 @@ def read(data: Data) -> Splats:
     check_count(count, len(data))
     widths = _Parts.widths(version, (stated + 1) ** 2 - 1)
     sizes = [count * width for width in widths]
-    most = HEADER.size + sum(sizes) + (EXTENSIONS_MAX if flags & _EXTENDED else 0)
-    body = _gunzipped(data, most)[HEADER.size :] if packed else _unpacked(data, streams, sizes)
+    most = HEADER.size + sum(sizes) + EXTENSIONS_MAX
+    body = _gunzipped(data, most, whole=True)[HEADER.size :] if packed else _unpacked(data, streams, sizes)
     if len(body) < sum(sizes):
         raise ContentError(f"it has fewer bytes than its {count} Gaussians need")
     parts = np.split(np.frombuffer(body, np.uint8, sum(sizes)), np.cumsum(sizes)[:-1])
@@ -142,12 +142,19 @@ def _extended(splats: Splats, records: bytes) -> Splats:
     return splats
 
 
-def _gunzipped(data: Data, most: int) -> bytes:
-    """Returns a bounded number of first bytes of gzip data. Raises ContentError."""
+def _gunzipped(data: Data, most: int, whole: bool) -> bytes:
+    """Returns a bounded number of first bytes of gzip data. whole: they are all, and checked. Raises ContentError."""
+    unpacker = zlib.decompressobj(wbits=31)
     try:
-        return zlib.decompressobj(wbits=31).decompress(data, most)
+        # The checksum is read behind the last byte.
+        plain = unpacker.decompress(data, most + whole)
     except zlib.error as error:
         raise ContentError(f"its gzip stream is damaged ({error})") from None
+    if whole and len(plain) > most:
+        raise ContentError(f"it has more bytes than its Gaussians need, and {EXTENSIONS_MAX} for extensions")
+    if whole and not unpacker.eof:
+        raise ContentError("its gzip stream has no end, as if it were cut", "copy or export it again")
+    return plain
 
 
 def _unpacked(data: Data, count: int, sizes: list[int]) -> bytes:
@@ -164,14 +171,14 @@ def _unpacked(data: Data, count: int, sizes: list[int]) -> bytes:
         raise ContentError(f"it has {count} streams, but must have {len(wanted)} complete ones")
     for number, plain in enumerate(wanted):
         size, stated = STREAM.unpack_from(data, start + number * STREAM.size)
-        stream = b""
-        if stated == plain and place + size <= len(data):
-            try:
+        packed, stream = data[place : place + size], b""
+        try:
+            # A frame may state any size, which is allocated.
+            if stated == plain and len(packed) == size and zstandard.frame_content_size(packed) in (-1, plain):
                 decompressor = zstandard.ZstdDecompressor(max_window_size=1 << 27)
-                with decompressor.stream_reader(data[place : place + size]) as reader:
-                    stream = reader.read(plain)
-            except zstandard.ZstdError as error:
-                raise ContentError(f"its stream {number} is damaged ({error})") from None
+                stream = decompressor.decompress(packed, max_output_size=plain, allow_extra_data=False)
+        except zstandard.ZstdError as error:
+            raise ContentError(f"its stream {number} is damaged ({error})") from None
         if len(stream) != plain:
             raise ContentError(f"its stream {number} does not have {plain} bytes")
         streams.append(stream)

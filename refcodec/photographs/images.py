@@ -12,11 +12,14 @@ import numpy as np
 from PIL import Image
 from scipy import sparse
 
+from ..files.present import mapped
 from ..rendering.camera import PIXELS_MAX
 from .cameras import SIDE_MAX, U8, PhotographError
 
 # The supported formats. Some of Pillow's other readers start programs (EPS).
 FORMATS = ("JPEG", "PNG", "WEBP", "TIFF", "BMP")
+# Pillow reads a PNG file whose last bytes are missing, which have the checksums.
+_PNG_END = b"IEND\xaeB`\x82"
 # 16-bit and float images have no common range.
 EIGHT_BITS = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "RGBX", "CMYK", "YCbCr")
 
@@ -137,6 +140,8 @@ def read_image(path: Path, background: tuple[int, int, int]) -> U8:
             problem = f"its pixel format is {image.mode}, but must have 8 bits per channel"
             raise PhotographError(path, problem, "convert it to 8 bits")
         image.load()
+        if image.format == "PNG" and mapped(path).rfind(_PNG_END) < 0:
+            raise PhotographError(path, "its end is missing, as if it were cut", "export or copy the image again")
         if image.has_transparency_data:
             pixels = np.asarray(image.convert("RGBA"), np.float32)
             alpha = pixels[..., 3:] / 255

@@ -81,7 +81,7 @@ def _read_archive(path: Path) -> tuple[NDArray[Any], NDArray[np.uint8]]:
             if not {"means3d", "colors"} <= set(archive.files):
                 raise ValueError(f"it has the arrays {archive.files}, but needs means3d and colors")
             return archive["means3d"].astype(np.float64), _eight_bits(archive["colors"])
-    except (OSError, MemoryError):
+    except (FileNotFoundError, IsADirectoryError, PermissionError, MemoryError):
         raise
     # NumPy, zipfile and zlib raise many types for bad bytes. All of them mean that the file cannot be read.
     except Exception as error:

@@ -312,7 +312,11 @@ FILES: list[tuple[str, bytes, str]] = [
     (".spz", b"\x1f\x8b" + bytes(50), "gzip stream is damaged"),
     (".spz", gzip.decompress(own(".spz")), "version 3"),
     # A gzip bomb is not unpacked further than it states.
-    (".spz", gzip.compress(gzip.decompress(own(".spz")) + bytes(300 << 20), 1), ""),
+    (".spz", gzip.compress(gzip.decompress(own(".spz")) + bytes(300 << 20), 1), "more bytes than its Gaussians need"),
+    (".spz", own(".spz")[:-8] + bytes(8), "incorrect data check"),
+    *((".spz", own(".spz")[:-cut], "no end, as if it were cut") for cut in (1, 8, 12)),
+    (".spz", at(112, b"\xa4")(STREAMS[:-1]), "stream 5 is damaged"),
+    (".glb", at(8, b"\xff" * 4)(own(".glb")), "it states 4294967295 bytes"),
     (".spz", at(15, b"\xc8")(STREAMS), "it has 200 streams"),
     (".spz", at(40, (1 << 40).to_bytes(8, "little"))(STREAMS), "stream 0 does not have"),
     (".spz", at(16, b"\xff\xff\xff\xff")(STREAMS), "complete ones"),
