@@ -49,4 +49,7 @@ class Folder:
         with contextlib.suppress(RecursionError):
             shutil.rmtree(self.path, ignore_errors=True)
         if self.path.exists():
-            subprocess.run(["rm", "-rf", "--", self.path], stderr=subprocess.DEVNULL, check=False)
+            # Folders may be closed, too. Files keep their modes, because they may be others' by a link.
+            opened = ["-type", "d", "!", "-perm", "-700", "-execdir", "chmod", "u+rwx", "{}", ";"]
+            for command in (["find", str(self.path), *opened], ["rm", "-rf", "--", str(self.path)]):
+                subprocess.run(command, stderr=subprocess.DEVNULL, check=False)

@@ -63,11 +63,13 @@ def flood(number):
 
 
 def dig():
-    """Makes more folders in one another than Python calls itself, with a path that no call of the system takes."""
+    """Makes folders in one another, beyond Python's recursion and the longest path; the last is closed, but to root."""
     os.chdir(os.environ["TMPDIR"])
     for _ in range(1500):
         os.mkdir("deep")
         os.chdir("deep")
+    os.makedirs("closed/within")
+    os.chmod("closed", 0)
 
 
 def giant(output):
