@@ -141,7 +141,7 @@ def document(data: Bytes, verdict: Verdict | BitstreamError | None, heads: bool 
         facts |= {"accepted": False, "error": {**json.loads(verdict.to_json()), "text": str(verdict)}}
     elif verdict is not None:
         facts |= {"accepted": True, "digest": {"whole": verdict[0], **verdict[1]}}
-    elif outline.stated_end != len(data):
+    if facts["header"] and not facts["accepted"] and outline.stated_end != len(data):
         facts["stated_bytes"] = outline.stated_end
     return facts
 
@@ -176,8 +176,10 @@ def summary(facts: dict[str, Any], name: str) -> Iterator[str]:
     version = f"C3GS version {p['major']}.{p['minor']}" if p else "C3GS version unknown"
     # SPEC 6.1: in any other file the fields have no meaning.
     signed = not p or b"C3GS".hex() in p["signature"]
-    cut = f", NOT WHOLE: its header states {facts['stated_bytes']} bytes" if "stated_bytes" in facts else ""
-    yield f"{name}: {facts['bytes']} bytes, {version + cut if signed else 'not a C3GS file'}"
+    stated = facts.get("stated_bytes")
+    wrong = "" if stated is None else ", NOT WHOLE" if facts["bytes"] < stated else ", TOO LONG"
+    version += wrong and f"{wrong}: its header states {stated} bytes"
+    yield f"{name}: {facts['bytes']} bytes, {version if signed else 'not a C3GS file'}"
     if not signed:
         return
     if h:

@@ -16,7 +16,7 @@ from ..bitstream.attributes import KINDS
 from ..files.terminal import ProgressStream, note
 from ..files.text import shell_word
 from ..photographs.photographs import excluded
-from .estimate import UNCOUNTED, estimate
+from .estimate import UNCOUNTED
 from .trainer import Trainer, Watch
 
 # Seconds between two lines of progress where there is no terminal.
@@ -44,13 +44,12 @@ def opening(trainer: Trainer) -> str:
 
 
 def line(trainer: Trainer) -> str:
-    """The progress of a training run. A value that is not measured yet has "about" before it, or is left out."""
+    """The progress of a training run. A value that is not measured yet is left out."""
     clock, looks, last = trainer.clock, trainer.looks, trainer.looks.history[-1:]
-    size = last[0]["bytes"] if last else sum(v for k, v in estimate(trainer).items() if k not in KINDS)
     words = [f"step {clock.done} of {clock.steps}", f"{np.mean(looks.recent):.2f} dB"]
     words += [f"held-out {look['psnr']:.2f} dB" for look in last]
-    words += [f"{trainer.scaffold.count} anchors", _about(trainer) + file_size(trainer, size)]
-    return ", ".join([*words, *_left(trainer)])
+    words += [f"{trainer.scaffold.count} anchors"]
+    return ", ".join([*words, *_size(trainer), *_left(trainer)])
 
 
 def _left(trainer: Trainer) -> list[str]:
@@ -62,9 +61,9 @@ def _left(trainer: Trainer) -> list[str]:
     return [f"{'' if sure else 'about '}{max(seconds, 1):.0f} s left"]
 
 
-def _about(trainer: Trainer) -> str:
-    """ "about " before there is an entropy model that counts the bytes."""
-    return "about " if trainer.rate is not None and trainer.rate.model is None else ""
+def _size(trainer: Trainer) -> list[str]:
+    """The size of a file at the last look, if an entropy model counted it."""
+    return [file_size(trainer, look["bytes"]) for look in trainer.looks.history[-1:] if look["bytes"]]
 
 
 def file_size(trainer: Trainer, size: float) -> str:
@@ -131,8 +130,7 @@ def _progress(trainer: Trainer, progress: bool) -> Iterator[Watch]:
                 if clock.done % 20 == 0 and looks.history:
                     last = looks.history[-1]
                     words = [f"{last['psnr']:.2f} dB", f"{last['anchors']} anchors"]
-                    words.append(_about(trainer) + file_size(trainer, last["bytes"]))
-                    bar.set_postfix_str(", ".join([*words, *_left(trainer)]))
+                    bar.set_postfix_str(", ".join([*words, *_size(trainer), *_left(trainer)]))
 
             yield show
         return

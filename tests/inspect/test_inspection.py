@@ -135,6 +135,10 @@ def test_error_stands_at_its_byte(data):
     lines = list(dump.hex_lines(data[:-3], [error]))
     assert "section.truncated" in lines[-1]
     assert lines[-2] == f"{len(data) - 3:08x}  end of file"
+    for file, words in ((data[:-3], "NOT WHOLE"), (data + b"more", "TOO LONG")):
+        for outcome in (None, verdict(file)):
+            first = next(summary.summary(summary.document(file, outcome), "x"))
+            assert first.endswith(f"{words}: its header states {len(data)} bytes")
 
 
 def test_payloads_fold(data):

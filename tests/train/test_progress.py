@@ -20,7 +20,7 @@ from refcodec.cli.main import main
 from refcodec.photographs.photographs import PhotographSet
 from refcodec.train import messages
 from refcodec.train.command import state_path
-from refcodec.train.estimate import UNCOUNTED, likely_bytes
+from refcodec.train.estimate import UNCOUNTED
 from refcodec.train.log import Logging, Table
 from refcodec.train.looks import COLUMNS, PARTS
 from refcodec.train.pace import ENOUGH, RATIO, Pace
@@ -185,29 +185,25 @@ def test_time_left_after_resume() -> None:
 def test_lines(photographs: PhotographSet) -> None:
     trainer = until(Trainer(photographs, varied(TrainSettings(), {**FEW, "steps": 40})), 1)
     assert "s left" not in messages.line(trainer)
-    assert ", about " in messages.line(trainer)
+    assert "KB" not in messages.line(trainer)
     until(trainer, 8)
-    assert messages.line(trainer).count("about ") == 2
+    assert re.search(r" anchors, about \d+ s left$", messages.line(trainer))
     # With the rate, bytes are counted.
     until(trainer, 17)
     assert " KB, about " in messages.line(trainer)
-    assert ", about " not in messages.line(trainer).partition(" KB")[0]
     until(trainer, 40)
     assert messages.line(trainer).endswith(" KB")
 
 
-def test_bytes_do_not_drop_when_the_rate_begins(trained: Trainer) -> None:
-    """They fell tenfold: before the rate they were those of float32 numbers."""
+def test_bytes_are_counted_when_the_rate_begins(trained: Trainer) -> None:
+    """Numbers before it were 46 % too low, and earlier ten times too high."""
     history = trained.looks.history
     names = [row["phase"] for row in history]
     begin = names.index("rate")
     assert list(dict.fromkeys(names)) == [phase.name for phase in PHASES]
-    assert 1 / 3 < history[begin - 1]["bytes"] / history[begin]["bytes"] < 3
+    assert [row["bytes"] > 0 for row in history] == [number >= begin for number in range(len(names))]
     for row in history:
         assert row["bytes"] == pytest.approx(sum(row[part] for part in PARTS), abs=3)
-    # A higher rate makes smaller files.
-    few, many = (sum(likely_bytes(trained.scaffold, weight).values()) for weight in (0.02, 0.002))
-    assert few < many
 
 
 @pytest.mark.slow
