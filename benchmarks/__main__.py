@@ -23,6 +23,7 @@ from typing import Any
 from tqdm import tqdm
 
 from refcodec.bitstream.tables import tables_file
+from refcodec.files.terminal import bar_options
 from refcodec.files.text import counted
 from refcodec.statuses import DONE
 
@@ -79,7 +80,7 @@ def in_turn(wanted: Mapping[str, Decoder], rounds: int) -> dict[str, list[tuple[
     digest after the first word, and the times of the process.
     """
     runs: dict[str, list[tuple[Usage, dict[str, Any]]]] = {name: [] for name in wanted}
-    for number in tqdm(range(rounds * len(wanted)), leave=False):
+    for number in tqdm(range(rounds * len(wanted)), unit="runs", **bar_options()):
         name = [*wanted][number % len(wanted)]
         spent = usage(*wanted[name])
         if spent.status == DONE:

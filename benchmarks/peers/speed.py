@@ -27,6 +27,7 @@ from refcodec.bitstream.batches import no_progress
 from refcodec.bitstream.codec import parse
 from refcodec.export.fit import fit
 from refcodec.export.views import views_of
+from refcodec.files.terminal import bar_options
 from refcodec.formats.splats import Splats, rows_of
 from refcodec.formats.table import FORMATS, read_splats, write_splats
 from refcodec.rendering.rasterise import draw, settings_of
@@ -106,7 +107,7 @@ def section(source: Path, anchors: int, rounds: int) -> list[str]:
         files_of_one = {"SPZ, `refcodec export`": (len(own), FORMATS[".spz"].read(own))}
         files_of_one[SPZ] = coded.stat().st_size, read_splats(read)
         runs: list[dict[str, dict[str, Any]]] = []
-        for _ in tqdm(range(rounds), leave=False):
+        for _ in tqdm(range(rounds), unit="rounds", **bar_options()):
             ours = in_turn({title: decoding("whole", files[title]) for title in (OWN, OWN_STATIC)}, 1)
             number, seconds = ran([program, files[SPZ]]).split()[-2:]
             runs.append({title: run for title, [(_, run)] in ours.items()})

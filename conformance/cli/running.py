@@ -6,7 +6,6 @@ import argparse
 import datetime
 import re
 import shlex
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -112,7 +111,7 @@ def run_command(arguments: argparse.Namespace) -> int:
     if arguments.report:
         _check_report(arguments)
     started, began = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"), time.monotonic()
-    done = run(manifest, vectors, options, known, show=sys.stderr.isatty())
+    done = run(manifest, vectors, options, known)
     check_files(manifest, "the suite was changed while the decoder ran, so no verdict:")
     about = records.About(description, tuple(arguments.select), started, time.monotonic() - began)
     record = records.build(manifest, options, about, done)
@@ -169,7 +168,7 @@ def verify_report(arguments: argparse.Namespace) -> int:
         note("the report has no vector")
         return statuses.NOTHING
     known = [v.id for v in old.vectors if v.status in ("known", "unexpected")]
-    done = run(manifest, [by_id[name] for name in names], options, known, show=sys.stderr.isatty())
+    done = run(manifest, [by_id[name] for name in names], options, known)
     check_files(manifest, "the suite was changed while the decoder ran, so no verdict:")
     if done.interrupted:
         return statuses.INTERRUPTED

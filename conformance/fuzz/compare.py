@@ -32,6 +32,7 @@ from refcodec.bitstream import codec, reconstruction
 from refcodec.bitstream.errors import BitstreamError
 from refcodec.bitstream.scene import Scene
 from refcodec.files.stage import write_file
+from refcodec.files.terminal import bar_options
 from refcodec.native import library
 
 from .. import spec_decoder
@@ -277,7 +278,7 @@ def run(count: int, first: int, jobs: int, keep: Path, command: Sequence[str]) -
     # Scenes without a place for a drawn fault give fewer files.
     least = BATCH_SCENES * FILES_OF_A_SCENE * 3 // 4
     batches = range(first, first + -(-count // least))
-    bar = tqdm(total=count, unit="file", file=sys.stderr)
+    bar = tqdm(total=count, unit="files", **bar_options())
     with multiprocessing.get_context("spawn").Pool(jobs, _start_worker) as pool, bar:
         try:
             for number, findings in zip(batches, pool.imap(partial(run_batch, command=command), batches), strict=True):

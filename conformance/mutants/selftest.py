@@ -18,6 +18,7 @@ from tqdm import tqdm
 
 from conformance.manifest import Accepted, Manifest, Rejected, load
 from refcodec.files.stage import write_file
+from refcodec.files.terminal import bar_options
 
 from . import handwritten, misreadings, operators
 from .exempt import GAPS, PROOFS
@@ -149,7 +150,7 @@ def _try(task: tuple[Mutant | None, list[str]], stop: Grade | None, seconds: flo
 
 
 def _progress(items: Iterable[T], total: int, what: str) -> Iterable[T]:
-    bar: Iterable[T] = tqdm(items, total=total, desc=what, unit="", file=sys.stderr, leave=False, disable=None)
+    bar: Iterable[T] = tqdm(items, total=total, desc=what, unit="", **bar_options())
     return bar
 
 

@@ -6,7 +6,6 @@ import hashlib
 import json
 import queue
 import signal
-import sys
 import threading
 from collections.abc import Iterable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
@@ -19,6 +18,7 @@ from msgspec import Meta
 from msgspec.structs import replace
 from tqdm import tqdm
 
+from refcodec.files.terminal import bar_options
 from refcodec.files.text import printable
 from refcodec.inspect.specification import clause_of
 
@@ -282,16 +282,14 @@ def _content(path: Path) -> bytes | None:
     return None
 
 
-def run(
-    manifest: Manifest, vectors: Sequence[Vector], options: Options, known: Iterable[str] = (), show: bool = True
-) -> Run:
+def run(manifest: Manifest, vectors: Sequence[Vector], options: Options, known: Iterable[str] = ()) -> Run:
     """Runs a decoder on vectors. An interrupt (SIGINT, SIGTERM or SIGHUP) ends the run with the results so far.
 
-    known: identifiers of vectors that must fail. show: show a progress bar on stderr.
+    known: identifiers of vectors that must fail.
     """
     ended: dict[str, Result] = {}
     done, names = Run(), set(known)
-    bar = tqdm(total=len(vectors), unit="vector", file=sys.stderr, disable=not show)
+    bar = tqdm(total=len(vectors), unit="vectors", **bar_options())
     with ExitStack() as stack:
         # The default action of these signals would leave decoders behind.
         for number in (signal.SIGTERM, signal.SIGHUP):

@@ -238,7 +238,7 @@ def _run_step(job: Job, step: Step, wanted: Wanted, show: Show) -> None:
     noted(False)
     began, sent, rest = time.perf_counter(), 0, ""
     with Stage() as stage, job.log.open("ab") as log, job.log.open(encoding="utf-8", errors="replace") as lines:
-        lines.seek(0, os.SEEK_END)
+        start = lines.seek(0, os.SEEK_END)
         process = subprocess.Popen(
             [*PROGRAM, step.module, *step.words, *step.free, *(["--resume"] if goes_on else [])],
             stdout=stage.open(step.output) if step.printed else subprocess.DEVNULL,
@@ -268,6 +268,8 @@ def _run_step(job: Job, step: Step, wanted: Wanted, show: Show) -> None:
         status = process.returncode
         if status:
             stage.cancel()
+            lines.seek(start)
+            last = lines.read().splitlines()[-_LAST_LINES:]
     entry.seconds += time.perf_counter() - began
     entry.processor_seconds += used.ru_utime + used.ru_stime
     noted(status == DONE)
@@ -287,7 +289,6 @@ def _run_step(job: Job, step: Step, wanted: Wanted, show: Show) -> None:
             raise
         refused.unlink()
     else:
-        last = job.log.read_text(encoding="utf-8", errors="replace").splitlines()[-_LAST_LINES:]
         raise RunError("\n".join([f"this command failed: {step}", *last]), status if status > 0 else FAULT)
 
 

@@ -6,6 +6,7 @@ import contextlib
 import io
 import os
 import sys
+from typing import Any
 
 from .text import printable
 
@@ -70,6 +71,25 @@ class ProgressStream(io.TextIOBase):
     def fileno(self) -> int:
         """Returns the descriptor of stderr."""
         return sys.stderr.fileno()
+
+
+class _LogStream(ProgressStream):
+    """The stream of a bar that is no bar: each state is a line."""
+
+    def write(self, text: str) -> int:
+        """Writes what is visible of a text as a line."""
+        if visible := text.strip():
+            note(visible)
+        return len(text)
+
+
+def bar_options() -> dict[str, Any]:
+    """Returns options of tqdm. Without a terminal there is a line each minute instead of a bar, as logs are read."""
+    if sys.stderr.isatty():
+        return {"file": ProgressStream(), "leave": False}
+    form = "{desc} {n_fmt} of {total_fmt} {unit} after {elapsed}{postfix}"
+    minute = dict.fromkeys(("mininterval", "maxinterval", "delay"), 60)
+    return {"file": _LogStream(), "leave": False, "bar_format": form, **minute}
 
 
 def silence_stdout() -> None:

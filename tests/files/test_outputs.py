@@ -14,14 +14,17 @@ from concurrent.futures import ThreadPoolExecutor, wait
 from pathlib import Path
 
 import pytest
+from tqdm import tqdm
 
 from refcodec.files.interrupts import SIGNALS, on_interrupt
 from refcodec.files.lock import BESIDE, hold_file, hold_folder
 from refcodec.files.outputs import Kind, check_apart, check_file
 from refcodec.files.present import NotAFileError, is_there
 from refcodec.files.stage import INCOMING, Stage, exchange, write_file
+from refcodec.files.terminal import bar_options
 from refcodec.statuses import UsageError
 
+ROOT = Path(__file__).resolve().parents[2]
 POEM = Kind("a poem", re.compile(rb"roses"))
 
 
@@ -90,6 +93,15 @@ def test_a_file_is_there_or_not(tmp_path: Path) -> None:
     for name, word in words.items():
         with pytest.raises(NotAFileError, match=word):
             is_there(tmp_path / name)
+
+
+def test_a_log_has_lines_instead_of_a_bar(capsys: pytest.CaptureFixture[str]) -> None:
+    """One a minute. Every bar of the suite and of the benchmarks is made so."""
+    for at_once in ({}, {"delay": 0, "mininterval": 0}):
+        list(tqdm(range(3), "bugs", unit="files", **{**bar_options(), **at_once}))
+        assert re.fullmatch(r"(bugs \d of 3 files after 00:00\n)+" if at_once else "", capsys.readouterr().err)
+    for file in (path for name in ("conformance", "benchmarks") for path in (ROOT / name).rglob("*.py")):
+        assert all("bar_options()" in line for line in file.read_text().splitlines() if " tqdm(" in line), file
 
 
 # --- whole or missing -------------------------------------------------------------------------------------------------
