@@ -26,7 +26,7 @@ CHUNK, HELD_CHUNK = 192, 2048
 # The number of copies of section bytes, chunk bytes and camera bytes during decoding.
 READING, CAMERA = 5, 16
 # The bytes of the program with the packages of decoding, and those that the packages of drawing add.
-PROGRAM, DRAWING = 64 << 20, 128 << 20
+PROGRAM, DRAWING = 64 << 20, 192 << 20
 # The memory for a file behind a URL, if the caller does not limit it.
 URL_MEMORY = 4 << 30
 

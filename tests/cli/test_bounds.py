@@ -5,11 +5,13 @@ from __future__ import annotations
 import os
 import re
 import shutil
+import sys
 import threading
 import tracemalloc
 from collections.abc import Callable
 from contextlib import contextmanager
 from dataclasses import replace
+from inspect import isfunction, signature
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +22,7 @@ from random_scenes import random_scene
 
 import refcodec
 from benchmarks.large import made_static
-from benchmarks.resident import measured
+from benchmarks.resident import measured, usage
 from conformance.cases.checksums import lengthened
 from conformance.cases.scenes import MAIN_DIMENSIONS
 from refcodec import UsageError, api
@@ -35,6 +37,14 @@ from refcodec.files.remote import RemoteFile
 
 # Each command that takes a file.
 COMMANDS = [*DECODING, "inspect FILE", "view FILE --no-browser"]
+# What takes a file in Python besides commands, and what an open file has.
+PYTHON = {
+    "open": "refcodec.open(F, limits=L).header",
+    "decode": "refcodec.decode(F, limits=L).digest()",
+    "splats": "refcodec.splats(F, limits=L)",
+    "File.chunks": "any(chunk is None for chunk in refcodec.open(F, limits=L).chunks())",
+    **{f"File.{part}": f"refcodec.open(F, limits=L).{part}" for part in ("sizes", "metadata", "cameras", "decode()")},
+}
 BOUND, CLAIM = 400 << 20, 1500 << 20
 
 
@@ -48,6 +58,10 @@ def prepare(command: str, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_each_command_of_a_file_has_bounds() -> None:
     bounded = {name for names in api.COMMANDS.values() for name in names if "max_memory" in words(getattr(api, name))}
     assert bounded - {"encode"} == {command.split()[0].replace("eval", "evaluate") for command in COMMANDS}
+    functions = {name: getattr(refcodec, name) for name in refcodec.__all__ if name != "encode"}
+    limited = {n for n, use in functions.items() if isfunction(use) and "limits" in signature(use).parameters}
+    parts = {f"File.{name}" for name in vars(refcodec.File) if not re.match("_|close|.*_count", name)}
+    assert limited | parts == {name.removesuffix("()") for name in PYTHON}
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -197,16 +211,15 @@ def test_the_estimate_is_one_to_two_times_what_is_measured(tmp_path: Path) -> No
 
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="memory is read from /proc")
 @pytest.mark.slow
-@pytest.mark.parametrize("static", [False, True])
-def test_what_a_command_takes_is_within_what_it_states(static: bool, place: Path, call: Call) -> None:
-    """The memory that --max-memory compares. Static scenes have Gaussians, which are most of what is held."""
+@pytest.mark.parametrize(("static", "anchors"), [(False, 8_000), (True, 20_000), (False, 5)])
+def test_what_a_command_takes_is_within_what_it_states(static: bool, anchors: int, place: Path, call: Call) -> None:
+    """The memory that --max-memory compares: mostly Gaussians of a static scene, and packages for a small file."""
     scene = codec.parse((VECTORS / "valid" / "trained-snowmiku.c3gs").read_bytes()).scene
     scene = replace(made_static(scene, 3) if static else scene, position_model=None)
     file = place / "many.c3gs"
-    file.write_bytes(
-        codec.emit(take_anchors(scene, np.resize(np.arange(scene.anchor_count), 20_000 if static else 8_000)))
-    )
+    file.write_bytes(codec.emit(take_anchors(scene, np.resize(np.arange(scene.anchor_count), anchors))))
     splats = [f"decode FILE --splat new.{suffix}" for suffix in ("ply", "spz", "sog", "glb")] * static
+    splats.append("inspect FILE --html new.html")
     for command in (each for each in [*DECODING, *splats] if not lacking(each)):
         line = command.replace("FILE", str(file)).split()
         _, _, refused = call(*line, "--max-memory", "64M")
@@ -218,6 +231,16 @@ def test_what_a_command_takes_is_within_what_it_states(static: bool, place: Path
         assert most < int(stated[1]), command
         for made in place.glob("new*"):
             shutil.rmtree(made) if made.is_dir() else made.unlink()
+    for name, use in ((name, use) for name, use in PYTHON.items() if static or name != "splats"):
+        program, bounds = f"import refcodec\nF, L = {str(file)!r}, refcodec.Limits(memory=%d)\n{use}", [0]
+        # The index states more than the header.
+        for bound in bounds:
+            try:
+                exec(program % bound, {})
+            except BoundPassedError as error:
+                bounds.append(error.needed)
+        done = usage([sys.executable, "-c", program % bound])
+        assert (done.status, done.peak < bound or name == "open") == (0, True), (use, done, bound)
 
 
 # --- from Python ------------------------------------------------------------------------------------------------------
