@@ -29,6 +29,7 @@ from ..files.interrupts import on_interrupt
 from ..files.present import NotAFileError, is_there
 from ..files.terminal import note
 from ..files.text import printable
+from ..photographs.cameras import PhotographError
 from ..statuses import UsageError
 from .settings_file import differences
 
@@ -317,10 +318,12 @@ def _read(path: Path) -> tuple[dict[str, Any], Saved]:
 def ending(state: Path) -> Iterator[None]:
     """Says of a ValueError, with which the result of a training cannot be made, where the training is kept.
 
-    state: the path of the saved state. Raises UsageError.
+    state: the path of the saved state. Raises UsageError, and PhotographError of a photograph that is read late.
     """
     try:
         yield
+    except PhotographError:
+        raise
     except ValueError as error:
         kept = f"{state} keeps it, and --resume with more --steps continues. Or train again"
         advice = _kept(state, kept, "no state could be saved: train again")
