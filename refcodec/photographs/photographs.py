@@ -269,9 +269,9 @@ def _load(shot: Shot, shape: tuple[int, ...], camera: Camera, background: Colour
 
 
 def _load_mask(shot: Shot, mask: Path, camera: Camera) -> NDArray[np.bool_]:
-    """As Photograph.mask: a pixel counts if half of its area or more is not black, as in COLMAP and nerfstudio."""
+    """As Photograph.mask: a pixel counts if all of it does. Black does not, as in COLMAP and nerfstudio."""
     used = read_image(mask, BLACK).any(axis=2, keepdims=True)
-    counts = _seen(np.repeat(used * np.uint8(255), 3, axis=2), shot, camera)[..., 0] >= 128
+    counts = _seen(np.repeat(used * np.uint8(255), 3, axis=2), shot, camera)[..., 0] == 255
     same = same_aspect(used.shape[1], used.shape[0], shot.camera.width, shot.camera.height)
     if not (same and counts.any()):
         problem = "black, which is excluded, is everywhere" if same else f"it has not the shape of {shot.path}"

@@ -296,7 +296,7 @@ def test_a_mask_is_seen_as_its_photograph(camera, name, tmp_path):
         assert "1 photograph of 10 without a mask" in taken.notes[0]
         assert all(tmp_path / "masks" / name.format(p.path.stem) in taken.places() for p in taken.train)
         for photograph in taken.train:
-            np.testing.assert_array_equal(photograph.mask, photograph.image[..., 0] >= 128)
+            np.testing.assert_array_equal(photograph.mask, photograph.image[..., 0] == 255)
 
 
 def test_notes_on_masks_and_small_images(nerf):
