@@ -1,7 +1,5 @@
 """The manifest of the suite, vectors/manifest.json. vectors/manifest.schema.json states the same form for others."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 What is wrong with a page is an error. The pages of an earlier build are replaced.
 """
 
-from __future__ import annotations
-
 import argparse
 import importlib.util
 import os

@@ -1,7 +1,5 @@
 """The help of all commands, as a part of the page `commands`."""
 
-from __future__ import annotations
-
 import argparse
 import os
 from unittest import mock

@@ -4,8 +4,6 @@ Permanent anchors are `#6.7` of a clause, `#R6.7-1` of a requirement and `#e401`
 requirements are links. Browsers print the file on pages of A4.
 """
 
-from __future__ import annotations
-
 import base64
 import re
 from collections.abc import Callable, Mapping

@@ -7,8 +7,6 @@ points is kept at random (seed 0), without tracks. The result is reproducible wi
 Pillow.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 from pathlib import Path

@@ -4,8 +4,6 @@ python -m release             builds them in out/release
 python -m release --check     builds them in two new clones, compares all bytes, and tries the artefacts
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import shutil

@@ -1,7 +1,5 @@
 """Archives whose bytes depend on the names and contents of their files only: sorted, of one owner, mode and time."""
 
-from __future__ import annotations
-
 import gzip
 import io
 import tarfile

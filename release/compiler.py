@@ -1,7 +1,5 @@
 """Programs and libraries for other systems, by the compiler that makes the WebAssembly: Zig, pinned in package.json."""
 
-from __future__ import annotations
-
 import importlib.metadata
 import importlib.util
 import json

@@ -3,8 +3,6 @@
 The compiler links parts of its C libraries into what it makes. Their licences are files of the compiler's package.
 """
 
-from __future__ import annotations
-
 import importlib.util
 from dataclasses import dataclass
 from functools import cache

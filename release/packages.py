@@ -1,7 +1,5 @@
 """Artefacts beside the wheels: source, module for browsers, vectors, specification, sums."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import time

@@ -1,7 +1,5 @@
 """What a release is built from: the files of one commit, without those of the working tree."""
 
-from __future__ import annotations
-
 import io
 import json
 import re

@@ -3,8 +3,6 @@
 What cannot run here is listed with the reason. `audit` has checked it when it was built.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

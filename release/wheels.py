@@ -3,8 +3,6 @@
 setuptools builds the one of the whole tree, as it does for `pip install .` in a clone. The others are it with a kernel.
 """
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import os

@@ -7,8 +7,6 @@ python -m spec --coverage prints which lines, conditions and extremes no vector 
 python -m spec --proofs   proves the bounds of 7.11 and the entropy coder for all inputs with z3, in a minute
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable, Iterator
 

@@ -7,8 +7,6 @@ Clauses without such names are not compared. A paragraph, in code and in texts, 
 share a word with its headings, first paragraphs or bold leads.
 """
 
-from __future__ import annotations
-
 import ast
 import itertools
 import re

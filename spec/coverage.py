@@ -7,8 +7,6 @@ A third kind of probe keeps the extremes of the integers that 7.11 bounds. A fou
 order was decided at its bound: by the last numbers with which it holds, and by the first ones with which it fails.
 """
 
-from __future__ import annotations
-
 import ast
 import copy
 import os

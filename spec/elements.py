@@ -5,8 +5,6 @@ there, or if a file with the next value is refused for it. The least value is al
 each range, and what they do not prove is a hole, unless `ARGUED` gives a reason.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass, field
 from functools import cache

@@ -5,8 +5,6 @@ Simple formulas give all numbers.
 python -m spec.example FILE     prints the scene of any file as text
 """
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Iterator

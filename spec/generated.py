@@ -4,8 +4,6 @@ These are the hashes of artefacts, the registry of errors, profiles and levels, 
 worked examples. vectors/tiny-example.md has parts, too.
 """
 
-from __future__ import annotations
-
 import hashlib
 import re
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """Makes ARCHITECTURE.md's table of packages and their imports."""
 
-from __future__ import annotations
-
 import ast
 import re
 from collections import defaultdict

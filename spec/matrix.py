@@ -3,8 +3,6 @@
 `refcodec explain` prints it. A requirement without code in a decoder, a test or a vector is an error.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable, Iterator
 

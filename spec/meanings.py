@@ -5,8 +5,6 @@ requirement names only other elements, or an exception here gives a reason. Each
 is cited by a rule.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -6,8 +6,6 @@ of shifts with the widths of their types. A function that one proof has bounded 
 one. Thus a change of a block, a constant or a bound in SPEC.md changes the proofs.
 """
 
-from __future__ import annotations
-
 import ast
 import builtins
 import math

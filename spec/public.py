@@ -1,7 +1,5 @@
 """Makes spec/public.txt: the names of `import refcodec` with their types, and the commands with their options."""
 
-from __future__ import annotations
-
 import argparse
 import hashlib
 import inspect

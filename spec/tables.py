@@ -1,7 +1,5 @@
 """Makes refcodec/data/tables-0.bin, the file of the tables, from the formulas of SPEC.md Annex A, with 50 digits."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Iterator
 from functools import cache

@@ -11,8 +11,6 @@ Python code cites a clause by "SPEC" and its number, in a docstring or a comment
 above the function.
 """
 
-from __future__ import annotations
-
 import ast
 import re
 from collections import defaultdict

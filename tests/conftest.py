@@ -3,8 +3,6 @@
 Profiles: `ci` is derandomised; HYPOTHESIS_PROFILE=long looks longer and at random, `smoke` only briefly.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What is made once for all processes of a run of tests."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Valid scenes of NumPy's random numbers, with given spreads, scenes without some chunks, and damaged files."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

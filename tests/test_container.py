@@ -3,8 +3,6 @@
 A container runs programs in this way. A command works there, or it reports in one line what is missing.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

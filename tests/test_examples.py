@@ -1,7 +1,5 @@
 """The programs of examples/python do what they state."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The imports between packages follow the order in ARCHITECTURE.md."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from graphlib import CycleError, TopologicalSorter

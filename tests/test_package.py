@@ -1,7 +1,5 @@
 """The project as a package: the build contains everything that its commands need, without a checkout."""
 
-from __future__ import annotations
-
 import importlib.metadata
 import os
 import re

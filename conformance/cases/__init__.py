@@ -50,8 +50,6 @@ A fault that is not defined yet is an `element` with a wrong value, a byte of `p
 function of some lines with the decorator `fault` (fault.py). It also says how the fuzzer and the tests draw arguments.
 """
 
-from __future__ import annotations
-
 import json
 from importlib import import_module
 from types import ModuleType

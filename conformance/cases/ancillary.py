@@ -4,8 +4,6 @@ These are ancillary sections with any content, and the header fields of later mi
 cameras is not an error of the file.
 """
 
-from __future__ import annotations
-
 import math
 import struct
 from collections.abc import Callable

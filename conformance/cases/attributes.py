@@ -3,8 +3,6 @@
 The faults of their substreams are in entropy_substreams.py. World positions are with the position grid in header.py.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 from typing import Any

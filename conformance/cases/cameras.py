@@ -1,7 +1,5 @@
 """Cases of clause 14: Gaussians for cameras (14.3), by SPEC.md's blocks in binary64."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Repairs lengths and checksums of changed files, wherever they can be found."""
 
-from __future__ import annotations
-
 import zlib
 from enum import IntEnum
 

@@ -3,8 +3,6 @@
 The positions of a chunk are in positions.py, its masks and attributes in attributes.py.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable
 from dataclasses import replace

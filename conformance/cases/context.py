@@ -3,8 +3,6 @@
 The context has four steps: frame, contraction, samples of planes, encoding.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 from typing import Any

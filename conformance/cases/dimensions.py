@@ -1,7 +1,5 @@
 """Cases of clauses 5.3 and 6.3: each dimension at its limits. Dimensions beyond a profile are in limits.py."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 from typing import Any

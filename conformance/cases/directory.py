@@ -1,7 +1,5 @@
 """Cases of clauses 5.6 and 6.6: the directory, and the sections' places, lengths, checksums and padding."""
 
-from __future__ import annotations
-
 import zlib
 from typing import Any
 

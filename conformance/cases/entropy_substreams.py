@@ -1,7 +1,5 @@
 """Cases of clauses 5.15, 8.1 to 8.3 and 8.8: states, lanes, words, raw bytes, and the end of a substream."""
 
-from __future__ import annotations
-
 import struct
 from dataclasses import replace
 from functools import partial

@@ -1,7 +1,5 @@
 """Cases of clauses 8.4 to 8.7 and A.3: models, means, scale indices, limits of symbols, raw bits and escapes."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial

@@ -16,8 +16,6 @@ Three usual kinds of faults need no function: `element`, a wrong value; `padding
 a file that is cut.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -3,8 +3,6 @@
 Profile, level, dimensions and chunk_size are in limits.py.
 """
 
-from __future__ import annotations
-
 import math
 import struct
 import zlib

@@ -3,8 +3,6 @@
 The mask model is in attributes.py. Faults of entries that contradict their chunk are in chunks.py.
 """
 
-from __future__ import annotations
-
 import struct
 from functools import partial
 

@@ -1,7 +1,5 @@
 """Cases of clause 11: profiles and levels."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial

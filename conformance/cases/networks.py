@@ -3,8 +3,6 @@
 The weights are those of mode 0 and of raw layers of mode 1. The table of scales begins the section in both modes.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable, Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Pseudorandom integers, the same on every machine: bytes of SHAKE-256 of a name."""
 
-from __future__ import annotations
-
 import hashlib
 
 import numpy as np

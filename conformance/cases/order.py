@@ -3,8 +3,6 @@
 The order of checks is the order of the file, but for lengths and ends. A chain has the faults of neighbouring checks.
 """
 
-from __future__ import annotations
-
 from functools import partial
 
 from refcodec.bitstream.directory import FRAME, INDEX, PLANES_SECTION, WEIGHTS

@@ -1,7 +1,5 @@
 """Cases of clauses 5.10, 6.9 and 7.3: sub-planes. The faults of their substreams are in entropy_substreams.py."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -3,8 +3,6 @@
 An encoder chooses the form of each chunk. Faults of the form itself are in chunks.py.
 """
 
-from __future__ import annotations
-
 from functools import cache, partial
 from typing import Any
 

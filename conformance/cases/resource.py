@@ -1,7 +1,5 @@
 """Cases of clause 13.1: small files that require or claim much memory or time. They test the budgets."""
 
-from __future__ import annotations
-
 import struct
 from dataclasses import replace
 from functools import partial

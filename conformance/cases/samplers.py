@@ -1,7 +1,5 @@
 """Coders that invent symbols. They run in refcodec's decoding process, so the models are those of a decoder."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from dataclasses import replace
 from typing import Any

@@ -5,8 +5,6 @@ Thus it is the same on every machine. The suite consists of such scenes. Their n
 gives another file.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any

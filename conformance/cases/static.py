@@ -1,7 +1,5 @@
 """Cases of clause 9.4: static scenes, of which the plain Gaussians are decoded."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache, partial
 from typing import Any

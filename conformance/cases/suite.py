@@ -1,7 +1,5 @@
 """Makes vectors from recipes: files, their results by refcodec, and the manifest."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import zlib

@@ -18,8 +18,6 @@ of a row is `plain` if it names no other. An argument of a fault can be a functi
 begin with, after their titles, are a tuple before these rows; there, NAME is the name of each row.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial

@@ -1,7 +1,5 @@
 """A valid file with the places of its elements and substreams, which can be replaced."""
 
-from __future__ import annotations
-
 import copy
 import struct
 from collections.abc import Callable

@@ -3,8 +3,6 @@
 Files with different seeds are similar. The suite uses seed 0, and the fuzzer draws others.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, lru_cache

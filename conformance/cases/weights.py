@@ -1,7 +1,5 @@
 """Networks of valid scenes, and weights of given values. Every float is an integer times a power of two."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

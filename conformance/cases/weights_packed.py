@@ -3,8 +3,6 @@
 Some layers are raw because no grid contains their values, others by the encoder's choice.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Cases of several clauses: the worked example, an ordinary scene, trained scenes, and unusual ones."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 

@@ -1,7 +1,5 @@
 """Errors that the caller can correct: a line on stderr and an exit status."""
 
-from __future__ import annotations
-
 import sys
 
 from refcodec import statuses

@@ -1,7 +1,5 @@
 """The command `check-encoder`, which judges the files of another encoder."""
 
-from __future__ import annotations
-
 import argparse
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The commands for maintenance of the suite: `generate`, `fuzz` and `selftest`."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The command `conformance`: its parser and its error messages."""
 
-from __future__ import annotations
-
 import argparse
 import io
 import os

@@ -1,7 +1,5 @@
 """The commands that test a decoder: `run` and `verify-report`."""
 
-from __future__ import annotations
-
 import argparse
 import datetime
 import re

@@ -1,7 +1,5 @@
 """Arguments and checks that several commands share."""
 
-from __future__ import annotations
-
 import argparse
 import os
 import shlex

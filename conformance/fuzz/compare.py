@@ -6,8 +6,6 @@ file again for its scene (SPEC 4.3). refcodec decodes and encodes by each path o
 of the native kernel.
 """
 
-from __future__ import annotations
-
 import hashlib
 import multiprocessing
 import os

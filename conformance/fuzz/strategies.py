@@ -1,7 +1,5 @@
 """Hypothesis strategies: structures of SPEC.md, whole scenes, faults, and changed files with right checksums."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import TypeVar

@@ -5,8 +5,6 @@ GAPS: wrong decoders, each with a file that would distinguish it, and that the s
 as planted bugs. A later suite should have such files.
 """
 
-from __future__ import annotations
-
 _ONE_ITEM = "A field that is not a list is a list of one item, whose first and last item are the same."
 _SYMMETRIC = "The minimum or maximum of two integers does not depend on their order."
 _ONE_ERROR = "Both checks refuse a file with the same error at the same offset."

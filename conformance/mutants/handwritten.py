@@ -1,7 +1,5 @@
 """Wrong decoders that a person thought of: the list of handwritten.toml as mutants."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 from functools import cache

@@ -1,7 +1,5 @@
 """A wrong decoder in this process: the blocks of SPEC.md with another text."""
 
-from __future__ import annotations
-
 from functools import cache
 
 from ..spec_decoder.program import Names, code, names

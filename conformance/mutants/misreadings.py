@@ -4,8 +4,6 @@ A misreading is applied wherever the blocks have a place for it. A check is a ca
 an error. A mutant breaks the requirements of the errors of its checks, or else those that name its function.
 """
 
-from __future__ import annotations
-
 import ast
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """A planted bug, and the text that it is planted in: the blocks of SPEC.md."""
 
-from __future__ import annotations
-
 import ast
 import hashlib
 import re

@@ -1,7 +1,5 @@
 """Wrong decoders that nobody chose: a fixed sample of the small changes that the blocks of SPEC.md allow."""
 
-from __future__ import annotations
-
 import ast
 import copy
 from collections import defaultdict

@@ -1,7 +1,5 @@
 """The suite tested: do its vectors catch every planted bug, and does the grader catch every wrong decoder?"""
 
-from __future__ import annotations
-
 import json
 import multiprocessing
 import signal

@@ -1,7 +1,5 @@
 """One wrong decoder on vectors, in a process of bounded time and memory: whatever it does has an outcome."""
 
-from __future__ import annotations
-
 import json
 import os
 import resource

@@ -1,7 +1,5 @@
 """The diagnosis of a run: the clauses whose numbers are wrong, and the parts in which the decoder stops."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from collections.abc import Iterator, Sequence

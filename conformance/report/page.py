@@ -1,7 +1,5 @@
 """The record as one HTML page that loads no other files."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from msgspec import to_builtins

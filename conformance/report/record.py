@@ -1,7 +1,5 @@
 """The record of a run as JSON: the data of all other reports. schema.py defines its form."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import platform

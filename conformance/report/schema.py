@@ -3,8 +3,6 @@
 Every member of an object is required, except those with a default, and no other is allowed.
 """
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 from msgspec import UNSET, Meta, UnsetType

@@ -1,7 +1,5 @@
 """The record as lines for a terminal."""
 
-from __future__ import annotations
-
 import os
 import re
 import shlex

@@ -1,7 +1,5 @@
 """The first difference between a decoder's output or trace and the right one, which refcodec computes."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass

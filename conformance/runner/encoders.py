@@ -1,7 +1,5 @@
 """Judges the files of another encoder: valid, canonical, as meant, and with the same result from both decoders."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from refcodec.bitstream import ancillary, codec

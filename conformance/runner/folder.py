@@ -1,7 +1,5 @@
 """The folder of a vector: a copy of the file, a place for the outputs of a decoder, and one for temporary files."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import shutil

@@ -1,7 +1,5 @@
 """Compares lists of Gaussians (vectors/README.md) within the tolerance of SPEC 14.3."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

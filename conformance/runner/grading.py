@@ -5,8 +5,6 @@ A decoder accepts with exit status 0 and an output file. It refuses with exit st
 crash never passes.
 """
 
-from __future__ import annotations
-
 import hashlib
 import signal
 from dataclasses import dataclass

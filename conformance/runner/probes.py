@@ -3,8 +3,6 @@
 conformance/README.md defines their form. A trace may be hostile: all reads are bounded.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field

@@ -4,8 +4,6 @@ A decoder process decodes one file, or serves: it reads a request for each file 
 request and each answer is a line of JSON. What a process writes goes to files, so that nothing is read while it runs.
 """
 
-from __future__ import annotations
-
 import contextlib
 import fcntl
 import json

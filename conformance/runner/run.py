@@ -1,7 +1,5 @@
 """Runs a decoder on vectors: several processes at a time, each within the vector's budget."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import queue

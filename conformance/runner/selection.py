@@ -1,7 +1,5 @@
 """Selects vectors by expressions such as `class:malformed,invalid code:1*,2*`."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from fnmatch import fnmatchcase
 

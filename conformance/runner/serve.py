@@ -6,8 +6,6 @@ Reads lines of JSON, {"id", "input", "output"} and optionally "trace". Answers e
 "stderr"}. A fork decodes each file. Thus no file affects the next one.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

@@ -1,7 +1,5 @@
 """Reads the lines of a trace: symbols and probes. This module does not import numpy, which is slow to import."""
 
-from __future__ import annotations
-
 import hashlib
 import re
 from collections.abc import Iterator

@@ -3,8 +3,6 @@
 `blocks` has their names. The modules are what a program needs besides.
 """
 
-from __future__ import annotations
-
 import hashlib
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The command line: validate, digest and decode."""
 
-from __future__ import annotations
-
 import io
 import json
 import os

@@ -1,7 +1,5 @@
 """The error that every refused file raises."""
 
-from __future__ import annotations
-
 from .program import blocks
 
 

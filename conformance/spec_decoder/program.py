@@ -1,7 +1,5 @@
 """The Python blocks and tables of SPEC.md as one program. Its lines have the numbers that they have in SPEC.md."""
 
-from __future__ import annotations
-
 import math
 import os
 import re

@@ -1,7 +1,5 @@
 """What SPEC.md's blocks use without defining it: SHA-256, strings as bytes and the file of the tables."""
 
-from __future__ import annotations
-
 import hashlib
 from collections import deque
 from pathlib import Path

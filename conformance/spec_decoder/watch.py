@@ -4,8 +4,6 @@ A trace has a line `PATH VALUE` for each symbol. The symbols of a substream are 
 probe has the values of one step of the decoding process for one anchor.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from itertools import count

@@ -5,8 +5,6 @@ python examples/python/crop.py scene.c3gs middle.c3gs 0.5
 The number is the share of anchors to keep. They look as before, because networks and planes do not change.
 """
 
-from __future__ import annotations
-
 import sys
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A scene in floating point, before quantisation."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

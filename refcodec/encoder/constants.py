@@ -4,8 +4,6 @@ Planes, F_h, the frame and the model of packed positions have a size that is ind
 (SPEC.md 11.1, B.3). No value changes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import replace
 

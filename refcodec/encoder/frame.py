@@ -1,7 +1,5 @@
 """SPEC.md B.2: the frame."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """SPEC.md B.1: layers of anchors, so that the first chunks of a file show the whole scene coarsely."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ..bitstream.chunks import chunk_ranges

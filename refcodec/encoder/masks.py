@@ -1,7 +1,5 @@
 """SPEC.md B.6: the mask model."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

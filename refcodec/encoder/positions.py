@@ -1,7 +1,5 @@
 """SPEC.md B.1: the position grid, the order of anchors, and the model of packed positions."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

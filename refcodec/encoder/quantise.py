@@ -1,7 +1,5 @@
 """SPEC.md B.7: converts float attributes, with given networks, to a scene of integers."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 

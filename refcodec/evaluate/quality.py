@@ -1,7 +1,5 @@
 """Image quality: PSNR and SSIM, by scikit-image and as in the code of 3D Gaussian Splatting."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The cells of an experiment: one training run each, as a job, and its result."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """The work of `experiment` and `rd`: it runs the missing cells, then writes the tables of all cells that are done."""
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import os

@@ -3,8 +3,6 @@
 A separate process decodes the file.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass

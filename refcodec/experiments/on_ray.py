@@ -1,7 +1,5 @@
 """Jobs as tasks of Ray, on this machine or on a cluster whose machines share the folder, as RAY_ADDRESS says."""
 
-from __future__ import annotations
-
 import contextlib
 import logging
 import os

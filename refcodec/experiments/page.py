@@ -1,7 +1,5 @@
 """The results of a demo as one HTML page: page.html is the template, this module formats its numbers and images."""
 
-from __future__ import annotations
-
 import io
 import math
 from pathlib import Path

@@ -1,7 +1,5 @@
 """An experiment as a TOML file: scenes, methods, lambdas, seeds, steps. It is read strictly and within bounds."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """Tables and curves of an experiment's results: a row for each cell, means and spreads over seeds, comparisons."""
 
-from __future__ import annotations
-
 import csv
 import io
 import math

@@ -16,8 +16,6 @@ and harmonics for its colour. They are fitted in three steps:
 The Gaussians are drawn with the filter of viewers, which need not be that of the scene.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

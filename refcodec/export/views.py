@@ -1,7 +1,5 @@
 """The views of a fit, and those that measure it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -3,8 +3,6 @@
 # safetensors is imported where it is used, so that a decode that fails does not wait for it.
 # ruff: noqa: PLC0415
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence

@@ -1,7 +1,5 @@
 """scene.json and render.json: the types of their values, and a reader that names the field of a fault."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Any, Generic, TypeVar
 

@@ -1,7 +1,5 @@
 """Coordinates of a map: an offset is subtracted from them, and stated as `georeference` in the metadata (SPEC 6.14)."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

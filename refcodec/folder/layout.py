@@ -11,8 +11,6 @@ With coded.safetensors, encoding a folder is exact. Without it, `encode` quantis
 networks, planes, frame and grid of the folder. A changed folder loses the ancillary sections that are not safe to copy.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

@@ -1,7 +1,5 @@
 """Metadata (SPEC.md 6.14) as texts and files state it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path

@@ -4,8 +4,6 @@
 stderr is not a terminal.
 """
 
-from __future__ import annotations
-
 import builtins
 import contextlib
 import os

@@ -3,8 +3,6 @@
 # safetensors and the encoder are imported where they are used, so that a decode that fails does not wait for them.
 # ruff: noqa: PLC0415
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

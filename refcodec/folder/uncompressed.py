@@ -6,8 +6,6 @@ render.json             the render information of SPEC.md 5.5, the cameras as in
                         default view, and the edge of the voxels whose corners are the anchors, if it is known
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Writer of scene folders, for scenes, and for files that are decoded by blocks of chunks."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence

@@ -1,7 +1,5 @@
 """The numbers of one anchor, from its position to its symbols."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 
 from ..bitstream.codec import Coding

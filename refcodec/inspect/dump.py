@@ -1,7 +1,5 @@
 """The bytes of a file and their elements, as text."""
 
-from __future__ import annotations
-
 import shlex
 from collections import deque
 from collections.abc import Iterator, Sequence

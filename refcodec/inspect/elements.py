@@ -4,8 +4,6 @@ Damaged files are shown as far as they parse. No input makes a function here rai
 Headers are read without checks, thus every count from a header is limited by the available bytes.
 """
 
-from __future__ import annotations
-
 import io
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ The text comes from SPEC.md and the registry of errors. The code of each decoder
 the trail that `python -m spec` records.
 """
 
-from __future__ import annotations
-
 import difflib
 import re
 import textwrap

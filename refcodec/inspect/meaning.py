@@ -4,8 +4,6 @@ Elements are named by their paths, as `elements` gives them. `python -m spec --c
 SPEC.md (spec/meanings.py), and a test tries them on every byte of the vectors.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass

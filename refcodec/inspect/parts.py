@@ -1,7 +1,5 @@
 """The size of each part of a file in bytes."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -3,8 +3,6 @@
 A probe is a line of a trace, `probe NAME[ANCHOR] NUMBERS`, with integers that spaces separate (conformance/README.md).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

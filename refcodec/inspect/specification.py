@@ -1,7 +1,5 @@
 """The clauses, syntax tables and requirements of SPEC.md, for programs that explain them."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from functools import cache

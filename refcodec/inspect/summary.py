@@ -1,7 +1,5 @@
 """The facts about a file, as JSON values and as lines of text."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """The trace of a file, with its elements and symbols in decoding order, and its symbol trace."""
 
-from __future__ import annotations
-
 import io
 import itertools
 from collections.abc import Callable, Iterator

@@ -3,8 +3,6 @@
 `python -m spec` records it (spec/trail.py).
 """
 
-from __future__ import annotations
-
 from functools import cache
 
 import msgspec

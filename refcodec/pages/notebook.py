@@ -1,7 +1,5 @@
 """The HTML by which a notebook shows a file or a scene: a table, and a picture beside it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path

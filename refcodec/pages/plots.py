@@ -1,7 +1,5 @@
 """Plots for SVG: the places of their bars, lines and labels."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Blends the Gaussians of each tile front to back, and takes gradients back through it (SPEC.md 14.5)."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What the parts of the rasteriser share: the types of arrays, the sizes of tiles, and limits."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Clauses 14.3 and 14.6: from a view-dependent or static scene and a camera to Gaussians, in floating point."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

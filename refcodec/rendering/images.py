@@ -1,7 +1,5 @@
 """Images of cameras as files of a folder: their names, which are apart, and the files, which are whole."""
 
-from __future__ import annotations
-
 import re
 import unicodedata
 from collections.abc import Iterable, Iterator, Sequence

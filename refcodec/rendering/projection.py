@@ -1,7 +1,5 @@
 """Projects Gaussians to ellipses in the image, and takes gradients back through it (SPEC.md 14.4)."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

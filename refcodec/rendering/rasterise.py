@@ -10,8 +10,6 @@ threads, because one thread blends a tile and every sum has one order. The numbe
 values is not finite, or if its projection leaves float64.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field

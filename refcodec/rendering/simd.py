@@ -6,8 +6,6 @@ on the machine's own width. The functions can be called only inside numba.njit f
 Python. All of it is numba's public interface for extensions (numba.extending) and llvmlite's builder.
 """
 
-from __future__ import annotations
-
 import operator
 from collections.abc import Callable
 from typing import Any

@@ -1,7 +1,5 @@
 """Finds which Gaussians reach which tiles and blocks of an image, and sorts them by depth."""
 
-from __future__ import annotations
-
 import math
 from typing import Any, NamedTuple
 

@@ -1,7 +1,5 @@
 """Views of a scene: cameras around it, and images of it as PNG and GIF (SPEC.md chapter 14)."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Iterable
 from dataclasses import replace

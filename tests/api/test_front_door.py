@@ -1,7 +1,5 @@
 """The public interface: its names, its imports, and its use with files, scenes and notebooks."""
 
-from __future__ import annotations
-
 import ast
 import io
 import subprocess

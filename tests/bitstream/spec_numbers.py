@@ -1,7 +1,5 @@
 """Numbers as SPEC.md's python blocks take them."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Exactness (SPEC.md 2, 9.3): nothing that computes a digest changes it. The vectors are files from before."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -3,8 +3,6 @@
 tests/conformance/test_decoders.py compares the verdicts of all decoders.
 """
 
-from __future__ import annotations
-
 import struct
 import zlib
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Integer networks (SPEC.md 7.2): rows and outputs equal those of the text in float32 and int64, up to the bound."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

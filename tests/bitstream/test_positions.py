@@ -1,7 +1,5 @@
 """Positions in mode 1 (SPEC.md 5.12, 6.11, 7.12): cells and trees against the text, round trips, choice of packing."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Files read by arriving bytes or by ranges (SPEC.md 10.1, 10.2): the results equal those of a whole file."""
 
-from __future__ import annotations
-
 import tracemalloc
 from collections.abc import Iterator
 from dataclasses import replace

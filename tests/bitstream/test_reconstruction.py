@@ -1,7 +1,5 @@
 """Reconstruction (SPEC.md 9): each value is exact and rounded once; the digest is the same everywhere."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from fractions import Fraction
 from typing import Any

@@ -1,7 +1,5 @@
 """Round trips (SPEC.md 4.3): parse(emit(scene)) is the scene, and emit(parse(file)) is the file."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import fields, is_dataclass, replace
 from types import SimpleNamespace

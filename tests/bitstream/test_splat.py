@@ -1,7 +1,5 @@
 """Static scenes (SPEC.md 9.4): the plain Gaussians against the text's blocks, and with each arithmetic."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Steps of the decoding process against SPEC.md's blocks: operators, geometry, the order of symbols, their models."""
 
-from __future__ import annotations
-
 import math
 from fractions import Fraction
 from typing import Any

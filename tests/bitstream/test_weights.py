@@ -1,7 +1,5 @@
 """Weights in mode 1 (SPEC.md 5.8, 6.8, 7.13): grids against the text, round trips, the choice of grids."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

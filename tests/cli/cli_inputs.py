@@ -1,7 +1,5 @@
 """Inputs of all commands in a folder, and a command in this process, for the tests of the command line."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

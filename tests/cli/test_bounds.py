@@ -1,7 +1,5 @@
 """{commands} x {bounds} x {ways of reading}: larger files are refused by the header. The memory is measured."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

@@ -1,7 +1,5 @@
 """What commands do for users and scripts: exit statuses, output on stdout and stderr, and files on the disk."""
 
-from __future__ import annotations
-
 import errno
 import json
 import os

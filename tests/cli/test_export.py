@@ -1,7 +1,5 @@
 """The command export: its outputs, its messages, and its errors."""
 
-from __future__ import annotations
-
 import re
 import shutil
 from dataclasses import replace

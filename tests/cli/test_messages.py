@@ -1,7 +1,5 @@
 """{commands} x {messages}: what a command says that is used wrongly, in one line, and with nothing changed."""
 
-from __future__ import annotations
-
 import inspect
 import json
 import re

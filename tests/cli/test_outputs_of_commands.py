@@ -4,8 +4,6 @@ After each fault the inputs are unchanged, each output is the old one or the com
 and the command has printed one line. The next run succeeds, regardless of the files that were left.
 """
 
-from __future__ import annotations
-
 import errno
 import json
 import os

@@ -1,7 +1,5 @@
 """The decoder in C (conformance/c), compiled, and its results for a file."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -1,7 +1,5 @@
 """The small suite and the decoders, made once for all tests that need them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import pytest

@@ -1,7 +1,5 @@
 """The decoders of the project behind one interface."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field

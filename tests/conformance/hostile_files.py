@@ -1,7 +1,5 @@
 """Small files with every section and form, and hostile files derived from them, for any decoder."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable, Iterator
 from dataclasses import replace

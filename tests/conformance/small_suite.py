@@ -1,7 +1,5 @@
 """A suite of six small files, one of each kind, and a decoder that knows the answers (fake_decoder.py)."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import sys

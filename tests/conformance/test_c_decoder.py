@@ -1,8 +1,6 @@
 """The decoder in C (conformance/c) as a program: a pipe, its usage, and other tables. test_decoders.py has the
 verdicts."""
 
-from __future__ import annotations
-
 import subprocess
 from pathlib import Path
 

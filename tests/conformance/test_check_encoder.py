@@ -1,7 +1,5 @@
 """check-encoder: a file against what its encoder meant. test_runner.py has the verdicts without that."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Outputs of the decoders in each language: none overwrites an input, and failed runs change no file."""
 
-from __future__ import annotations
-
 import resource
 import subprocess
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """Every decoder on hostile files: all have one verdict, in bounded memory, and no sanitizer reports anything."""
 
-from __future__ import annotations
-
 import contextlib
 import resource
 import tracemalloc

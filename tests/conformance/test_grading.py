@@ -1,7 +1,5 @@
 """A table of outcomes for the grader. Graders with planted faults fail on it."""
 
-from __future__ import annotations
-
 import hashlib
 import struct
 from collections.abc import Callable

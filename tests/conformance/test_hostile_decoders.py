@@ -1,7 +1,5 @@
 """Decoders that fail or attack, each on its own file in one run: each has its verdict, and nothing is left behind."""
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import json

@@ -1,7 +1,5 @@
 """Tests of the suite: planted bugs, the grader, and the vectors that catch each bug."""
 
-from __future__ import annotations
-
 import ast
 import re
 from collections.abc import Callable, Iterator

@@ -3,8 +3,6 @@
 The plug-in is the container of the decoder for browsers, whose verdicts test_decoders.py has.
 """
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """Probes: three decoders write the same numbers, and the first wrong one tells a planted bug's clause."""
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import importlib

@@ -3,8 +3,6 @@
 test_hostile_decoders.py has the verdicts on decoders that fail.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import resource

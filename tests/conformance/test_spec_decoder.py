@@ -3,8 +3,6 @@
 test_decoders.py compares it with the others.
 """
 
-from __future__ import annotations
-
 import ast
 import io
 import json

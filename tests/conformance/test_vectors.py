@@ -1,7 +1,5 @@
 """The suite's vectors: the manifest is right, the generator reproduces the bytes, and every decoder here agrees."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import subprocess

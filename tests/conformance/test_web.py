@@ -1,7 +1,5 @@
 """The decoder in WebAssembly and JavaScript: verdicts and digests of refcodec, for all ways of reading a file."""
 
-from __future__ import annotations
-
 import hashlib
 import importlib.metadata
 import importlib.util

@@ -1,7 +1,5 @@
 """draw.c, compiled for this machine with sanitizers: right numbers, and no fault for any numbers."""
 
-from __future__ import annotations
-
 import struct
 import subprocess
 from pathlib import Path

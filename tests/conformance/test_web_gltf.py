@@ -1,7 +1,5 @@
 """KHR_gaussian_splatting_compression_c3gs: files of export, the plugin for three.js, the validator, the schema."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

@@ -3,8 +3,6 @@
 The newest packages are installed by npm where its registry can be reached, and else looked for as in test_web_three.py.
 """
 
-from __future__ import annotations
-
 import base64
 import io
 import re

@@ -4,8 +4,6 @@ It is looked for in the folders of NODE_PATH, and in node_modules of the checkou
 `npm install three @types/three @sparkjsdev/spark typescript` in any folder, and set NODE_PATH to its node_modules.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

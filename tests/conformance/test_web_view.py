@@ -1,7 +1,5 @@
 """The inputs of a viewer from the decoder in WebAssembly: Gaussians, cameras and metadata, as in refcodec."""
 
-from __future__ import annotations
-
 import json
 import struct
 import subprocess

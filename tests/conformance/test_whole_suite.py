@@ -1,7 +1,5 @@
 """The project's own decoders on the suite, through the runner."""
 
-from __future__ import annotations
-
 import sys
 
 import pytest

@@ -1,7 +1,5 @@
 """The decoder in WebAssembly and JavaScript, in a process that the tests ask."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import shutil

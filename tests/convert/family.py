@@ -4,8 +4,6 @@ The layouts are those that the programs' own code writes and reads: names, order
 networks, the inputs with the appearance, and the values that are logarithms.
 """
 
-from __future__ import annotations
-
 import json
 import warnings
 from dataclasses import dataclass

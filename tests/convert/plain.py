@@ -1,7 +1,5 @@
 """Plain Gaussians for tests of convert."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Models of the Scaffold-GS family: they convert, draw as their own networks do, fit, encode and decode."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

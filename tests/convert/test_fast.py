@@ -1,7 +1,5 @@
 """convert --fast: Gaussians as a static scene, whose rendering networks are linear decoders."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

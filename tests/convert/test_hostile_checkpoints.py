@@ -1,7 +1,5 @@
 """Damaged or hostile model folders: one line each, no code is run, and memory is bounded."""
 
-from __future__ import annotations
-
 import io
 import json
 import os

@@ -1,7 +1,5 @@
 """The rendering networks of a converted scene: on grids that are as coarse as the rounded features allow."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The loss of a scene by export, conversion and another encoding, in dB."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A file of splats to a scene: pictures from cameras, and a training from them."""
 
-from __future__ import annotations
-
 import json
 import signal
 from collections.abc import Callable

@@ -4,8 +4,6 @@ A comment above each block of a shell, Python or JavaScript states how: CONTRIBU
 The blocks of a page are run in order, in one folder that has the project's files, as a reader would run them.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

@@ -1,7 +1,5 @@
 """Every link in a Markdown file leads to an existing file and heading, and lines of prose are not too long."""
 
-from __future__ import annotations
-
 import os
 import re
 from collections import Counter

@@ -1,7 +1,5 @@
 """The manual's code blocks have the results that their pages state, and every command in them exists."""
 
-from __future__ import annotations
-
 import importlib
 import re
 import shlex

@@ -1,7 +1,5 @@
 """The site of the manual: SPEC.md on one page, and a build without a warning."""
 
-from __future__ import annotations
-
 import importlib.util
 import os
 import re

@@ -1,7 +1,5 @@
 """Scenes without a hyperprior, and the choice of the smallest file."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

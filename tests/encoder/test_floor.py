@@ -1,7 +1,5 @@
 """A chunk that would have fewer bytes than its floor (SPEC [R6.10-5])."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The encoder's choices (SPEC.md Annex B): any anchors can be written, and each choice has its stated property."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """LPIPS with made-up weights, against torch's own modules; its weights file; the converter and its errors."""
 
-from __future__ import annotations
-
 import io
 import os
 import pickle

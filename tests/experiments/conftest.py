@@ -1,7 +1,5 @@
 """The substitute for refcodec, and an experiment that uses it."""
 
-from __future__ import annotations
-
 import shutil
 import sys
 from pathlib import Path

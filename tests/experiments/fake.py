@@ -4,8 +4,6 @@ Like `refcodec train`, it writes a line to stderr every step, stops at SIGINT wi
 status 130, and resumes. FAKE_STEP is the time of a step in milliseconds, FAKE_FAIL the lambda_r that fails.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

@@ -1,7 +1,5 @@
 """The commands `experiment` and `rd`: their folders, their messages, and the engine Ray. Training is simulated."""
 
-from __future__ import annotations
-
 import csv
 import os
 import re

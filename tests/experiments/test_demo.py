@@ -1,7 +1,5 @@
 """The demo from end to end with a few steps of training, its page, and how it ends."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The engine: what is done is not done again, and an interrupt at any point changes no result."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """An experiment's file is read strictly, and its cells match the file."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Tables and curves of an experiment: their figures against figures computed by hand."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

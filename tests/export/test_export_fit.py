@@ -1,7 +1,5 @@
 """One set of Gaussians for all views: exact for a scene that does not depend on the view, else near."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from itertools import pairwise

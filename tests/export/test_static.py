@@ -1,7 +1,5 @@
 """Static scenes in splat files: the decoded Gaussians themselves, in files that give the same numbers again."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

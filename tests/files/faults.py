@@ -1,7 +1,5 @@
 """Makes the calls fail by which a program changes files, one after another."""
 
-from __future__ import annotations
-
 import builtins
 import io
 import os

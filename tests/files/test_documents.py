@@ -1,7 +1,5 @@
 """Untrusted JSON and text: every input gives a value or one error, and shown text cannot control a terminal."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import unicodedata

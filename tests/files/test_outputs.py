@@ -1,7 +1,5 @@
 """The rules for outputs (files.outputs), complete or missing files (files.stage), locks and signals."""
 
-from __future__ import annotations
-
 import errno
 import fcntl
 import os

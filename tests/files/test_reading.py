@@ -1,7 +1,5 @@
 """Untrusted files that the commands read: each is used as documented, or refused in one line with status 64."""
 
-from __future__ import annotations
-
 import io
 import json
 import os

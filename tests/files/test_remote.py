@@ -1,7 +1,5 @@
 """Files at a URL: only the needed ranges are fetched, and no answer of the server is trusted."""
 
-from __future__ import annotations
-
 import re
 import socket
 import struct

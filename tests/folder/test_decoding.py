@@ -1,7 +1,5 @@
 """Decoding a file into a folder in steps of some chunks: the result is the folder of the whole scene, or no folder."""
 
-from __future__ import annotations
-
 import io
 import json
 import os

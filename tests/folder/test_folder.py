@@ -1,7 +1,5 @@
 """The scene folder: encode turns the output of decode into the same bytes, and any other folder is a clear error."""
 
-from __future__ import annotations
-
 import copy
 import json
 import os

@@ -1,7 +1,5 @@
 """Splat files: every format gives what was written within its steps, and files of other programs are read."""
 
-from __future__ import annotations
-
 import gzip
 import json
 import math

@@ -1,7 +1,5 @@
 """Spherical harmonics of splats: their values, their orthonormality, and the gradients of colours."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Damaged and hostile splat files: the outcome is finite Gaussians or one line, in bounded memory."""
 
-from __future__ import annotations
-
 import base64
 import gzip
 import io

@@ -1,7 +1,5 @@
 """Code lengths on the page, against the probabilities of SPEC.md's rules for each value; pictures and plots."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Explanations of bytes, codes and clauses."""
 
-from __future__ import annotations
-
 import dataclasses
 import os
 import re

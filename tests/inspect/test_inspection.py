@@ -1,7 +1,5 @@
 """inspect: every byte of any input has an element, and the trace follows decoding."""
 
-from __future__ import annotations
-
 import json
 import random
 import re

@@ -1,7 +1,5 @@
 """The memory of inspect: the file and little more, regardless of the counts that the file states."""
 
-from __future__ import annotations
-
 import json
 import tracemalloc
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """inspect --html: the page agrees with the file and with inspect's JSON, and a file cannot inject markup into it."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import re

@@ -1,7 +1,5 @@
 """The compiler of the native kernel's tests, and its sanitizers."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

@@ -3,8 +3,6 @@
 REFCODEC_TEST_KERNEL names one that is compiled already, for another processor: tests/native/aarch64.
 """
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

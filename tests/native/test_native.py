@@ -1,7 +1,5 @@
 """The native kernel against NumPy: the same scenes, files and errors, bit by bit, by every variant."""
 
-from __future__ import annotations
-
 import ctypes
 import importlib.util
 import os

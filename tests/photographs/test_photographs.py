@@ -1,7 +1,5 @@
 """Folders of posed photographs: written values are read back, no step changes geometry, and faults are clear errors."""
 
-from __future__ import annotations
-
 import contextlib
 import inspect
 import json

@@ -1,7 +1,5 @@
 """The release: archives, wheels and descriptions. `python -m release --check` builds the whole."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import os

@@ -1,7 +1,5 @@
 """The cache of compiled functions: outside the package, in folders named by their sources, and bounded."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """The rasteriser against a dense float64 one, whose gradients are autograd's; SSIM against a float64 convolution."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import subprocess

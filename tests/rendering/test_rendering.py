@@ -1,7 +1,5 @@
 """Rendering (SPEC.md chapter 14): Gaussians against the text's own python blocks in binary64."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

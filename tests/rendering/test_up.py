@@ -1,7 +1,5 @@
 """The up direction of a scene (refcodec.rendering.camera): camera rigs with a known up direction."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """Looking at scenes: cameras, files of images, figures of quality, and the commands render and eval."""
 
-from __future__ import annotations
-
 import io
 import json
 import math

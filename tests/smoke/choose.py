@@ -3,8 +3,6 @@
 python tests/smoke/choose.py    runs the quick tests with a requirement, and writes chosen.txt if they all pass
 """
 
-from __future__ import annotations
-
 import sys
 import time
 from collections import defaultdict

@@ -1,7 +1,5 @@
 """Each command once, in the shortest way in which it does its work, or begins it."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import sys

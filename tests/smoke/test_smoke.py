@@ -1,7 +1,5 @@
 """The tests of `./run-tests --smoke`: one for each requirement and each command. choose.py makes their list."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The coverage of SPEC.md's blocks by the vectors. tests/conformance/test_vectors.py proves that there is no hole."""
 
-from __future__ import annotations
-
 import contextlib
 from dataclasses import replace
 from pathlib import Path

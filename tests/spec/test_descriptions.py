@@ -4,8 +4,6 @@ The compiler is looked for in the folders of NODE_PATH: `npm install kaitai-stru
 time is `pip install kaitaistruct`.
 """
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import os

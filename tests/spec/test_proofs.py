@@ -1,7 +1,5 @@
 """The proofs of SPEC.md's integer arithmetic. Each fails if what it proves is changed in SPEC.md."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The list of what is public, spec/public.txt."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """SPEC.md against the code: its tables are compared, its python blocks are executed and decode files."""
 
-from __future__ import annotations
-
 import ast
 import builtins
 import hashlib

@@ -1,7 +1,5 @@
 """A small set of photographs, and a training run of some seconds on it."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Callable

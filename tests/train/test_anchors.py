@@ -1,7 +1,5 @@
 """Anchors: units, visibility to a camera, growth."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast

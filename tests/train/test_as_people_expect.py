@@ -1,7 +1,5 @@
 """Training for users: its messages and errors, and the information that the other commands have about it."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Training ends with the mean of its last steps."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from torch import Tensor

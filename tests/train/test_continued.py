@@ -1,7 +1,5 @@
 """Training that continues from a scene: it begins with the same image, and keeps the dimensions."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import replace

@@ -6,8 +6,6 @@ that was not copied to the CPU. All others give true numbers. Whole training run
 compared with those by the kernels for CPUs. Drawing runs on the CPU.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, cast

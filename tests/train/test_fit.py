@@ -1,7 +1,5 @@
 """The fitter: real anchors from points, networks for the integer codec, and their gain."""
 
-from __future__ import annotations
-
 import signal
 import struct
 from collections.abc import Callable

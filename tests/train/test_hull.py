@@ -1,7 +1,5 @@
 """Starts without points: within the visual hull of transparent photographs, and with few points."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any

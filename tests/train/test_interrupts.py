@@ -1,7 +1,5 @@
 """An interrupted training run that is resumed ends with the same bytes, regardless of the step of the interrupt."""
 
-from __future__ import annotations
-
 import signal
 from pathlib import Path
 from typing import Any

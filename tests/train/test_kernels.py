@@ -1,7 +1,5 @@
 """Kernels of train.cpu against the definitions in torch, and Adam against torch's own."""
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 from hypothesis import given

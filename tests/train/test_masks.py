@@ -1,7 +1,5 @@
 """Masks: anchors with only low masks are removed, and the others keep their meaning."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """The reports of training: schedule, time left, bytes, first and last lines, logs; and more steps."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

@@ -1,7 +1,5 @@
 """The rate in training against the coder's."""
 
-from __future__ import annotations
-
 import copy
 
 import numpy as np

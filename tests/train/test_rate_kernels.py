@@ -1,7 +1,5 @@
 """Kernels of the rate model against the definitions in torch, mostly in float64: values and gradients."""
 
-from __future__ import annotations
-
 import copy
 
 import numpy as np

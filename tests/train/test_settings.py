@@ -1,7 +1,5 @@
 """Settings: docs/method.md has some, each is documented, and they are printed, read and changed with checks."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from dataclasses import fields, is_dataclass

@@ -1,7 +1,5 @@
 """The saved state of training: written completely or not at all, and loaded unchanged or refused."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import json

@@ -1,7 +1,5 @@
 """Training of static scenes: the decoder's Gaussians are those of the training."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

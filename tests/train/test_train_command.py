@@ -1,7 +1,5 @@
 """The command `refcodec train`."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Whole training runs of some seconds: their results, and the states that they refuse."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """A browser for the tests of the viewer, a trained scene, and its photographs."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`refcodec view` and its server, and `refcodec export -o scene.html`."""
 
-from __future__ import annotations
-
 import io
 import os
 import queue

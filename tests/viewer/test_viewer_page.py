@@ -1,7 +1,5 @@
 """The page in a browser: from the disk and without network, its pictures, its texts, and its errors."""
 
-from __future__ import annotations
-
 import base64
 import io
 import json

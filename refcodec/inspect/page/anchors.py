@@ -1,7 +1,5 @@
 """Bits of anchors, over the scene and as a plot."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The page as a whole: one HTML document that opens from a disk and makes no request."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from pathlib import Path

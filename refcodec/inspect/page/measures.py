@@ -4,8 +4,6 @@ The decoder supplies the symbols. The decoding process then runs again with a co
 nothing and measures the code length of each symbol. Thus the process itself selects the model of each symbol.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from functools import cache

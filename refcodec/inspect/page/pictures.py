@@ -1,7 +1,5 @@
 """Pictures in the format PNG, without a library: anchors as points, planes, and the scales of colours and greys."""
 
-from __future__ import annotations
-
 import struct
 import zlib
 from dataclasses import dataclass
