@@ -1,174 +1,58 @@
-"""Decoding time of a large scene by each decoder, and time and memory by the number of anchors.
+"""The benchmarks: each measures, prints a section of RESULTS.md, and writes it with --write.
 
-python -m benchmarks decode [--anchors 421600] [--rounds 7] [--write]
-python -m benchmarks scale [--anchors 10000 ... 4000000] [--rounds 3] [--write]
-
-It prints a table; --write also writes the section of RESULTS.md. Each run is a process of its own, and the decoders
-take turns, so that the load of the machine affects all alike.
+python -m benchmarks NAME --help     what one measures, and its options
 """
 
-from __future__ import annotations
-
 import argparse
-import json
-import os
-import shutil
-import subprocess
 import sys
-from collections.abc import Mapping, Sequence
-from pathlib import Path
-from statistics import median
-from typing import Any
+from importlib import import_module
 
-from tqdm import tqdm
+from refcodec.files.text import printable
+from refcodec.statuses import USAGE
 
-from refcodec.bitstream.tables import tables_file
-from refcodec.files.terminal import bar_options
-from refcodec.files.text import counted
-from refcodec.statuses import DONE
+from .results import publish
 
-from .large import KEPT, PAPER_ANCHORS, TRAINED, large
-from .resident import Usage, usage
-from .results import ROOT, machine, mib, publish, table
-
-SIZES = (10_000, 40_000, 100_000, PAPER_ANCHORS, 1_000_000, 4_000_000)
-# The paths of refcodec. `native` is the one that it chooses itself.
-PATHS = ("numpy", "native", "avx512vnni", "avx512", "avx2", "neon", "plain")
-# Restricts all libraries to one thread.
-ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "REFCODEC_THREADS"), "1")
-# The decoding time of the paper, on a GPU, for a scene of PAPER_ANCHORS anchors.
-PAPER_SECONDS = 13.1
-
-# A command that decodes a file, and variables of its environment.
-Decoder = tuple[list[str], Mapping[str, str]]
+# By the name of the section: its module, which has the OPTIONS, the function that returns the lines, and its title.
+BENCHMARKS = {
+    "decode": ("decoders", "decode", "Decoding a large scene"),
+    "scale": ("decoders", "scale", "Time and memory by the number of anchors"),
+    "peers-speed": ("peers.speed", "section", "Decoding time beside SPZ"),
+    "exports": ("exports", "section", "Exported scenes"),
+    "viewers": ("viewers", "section", "What other programs draw"),
+    "converted": ("converted", "section", "Converted splat files"),
+    "coarse": ("coarse", "section", "Parts of a file"),
+    "millions": ("millions", "section", "Splats of many Gaussians"),
+    "worst": ("worst", "section", "The worst files of each step"),
+    "gpu": ("gpu", "section", "Training on a GPU beside the CPU"),
+}
 
 
-def decoding(way: str, path: Path, native: str = "native", threads: int = 1) -> Decoder:
-    """Returns a way of decoding.py on a path of refcodec."""
-    variables = {**ONE_THREAD, "REFCODEC_PATH": native, "REFCODEC_THREADS": str(threads)}
-    return [sys.executable, "-m", "benchmarks.decoding", way, str(path)], variables
-
-
-def c_decoder(kept: Path = KEPT) -> Path:
-    """Compiles the decoder in C, and returns its program. Raises OSError without a C compiler."""
-    kept.mkdir(parents=True, exist_ok=True)
-    source, program = ROOT / "conformance" / "c" / "decoder.c", kept / "decoder"
-    subprocess.run(["cc", "-std=c11", "-O3", "-march=native", source, "-o", program], check=True)
-    return program
-
-
-def decoders(path: Path, kept: Path) -> dict[str, Decoder]:
-    """Returns the decoders of a file that this machine may have."""
-    made = {f"refcodec, {name}": decoding("whole", path, name) for name in PATHS}
-    made |= {f"refcodec, {name}, with the digest": decoding("digest", path, name) for name in ("numpy", "native")}
-    if (cores := os.cpu_count() or 1) > 1:
-        made[f"refcodec, native, {cores} threads"] = decoding("whole", path, "native", cores)
-    if shutil.which("cc"):
-        made["C decoder, with the digest"] = (
-            [str(c_decoder(kept)), "digest", str(path)],
-            {"C3GS_TABLES": str(tables_file())},
-        )
-    if shutil.which("node"):
-        made["JavaScript and WebAssembly"] = ["node", str(ROOT / "benchmarks" / "decoding.mjs"), str(path)], {}
-    return made
-
-
-def in_turn(wanted: Mapping[str, Decoder], rounds: int) -> dict[str, list[tuple[Usage, dict[str, Any]]]]:
-    """Runs each decoder once in each round. Returns what the processes took and printed.
-
-    Decoders that this machine does not have are left out. Those that print no JSON, as the decoder in C, have their
-    digest after the first word, and the times of the process.
-    """
-    runs: dict[str, list[tuple[Usage, dict[str, Any]]]] = {name: [] for name in wanted}
-    for number in tqdm(range(rounds * len(wanted)), unit="runs", **bar_options()):
-        name = [*wanted][number % len(wanted)]
-        spent = usage(*wanted[name])
-        if spent.status == DONE:
-            process: dict[str, Any] = {"seconds": spent.seconds, "processor": spent.processor}
-            if spent.printed.startswith("{"):
-                process = json.loads(spent.printed)
-            elif spent.printed:
-                process |= {"digest": spent.printed.split()[1]}
-            runs[name].append((spent, process))
-    return {name: own for name, own in runs.items() if own}
-
-
-def decode(anchors: int, rounds: int, kept: Path = KEPT) -> list[str]:
-    """Returns the lines of the section about a large scene. Raises ValueError if digests differ."""
-    path, facts = large(anchors, kept), machine("torch")
-    runs = {name: [result for _, result in own] for name, own in in_turn(decoders(path, kept), rounds).items()}
-    digests = {result["digest"] for own in runs.values() for result in own if "digest" in result}
-    if len(digests) != 1:
-        raise ValueError(f"the decoders disagree: {', '.join(sorted(digests))}")
-    base, rows = runs["refcodec, native"], []
-    for name, own in runs.items():
-        row = [f"{median(result[clock] for result in own):.3f}" for clock in ("seconds", "processor")]
-        ratio = median(one["processor"] / other["processor"] for one, other in zip(own, base, strict=True))
-        rows.append([name, *row, f"{ratio:.2f}"])
-    return [
-        facts,
-        f"{anchors:,} anchors, {path.stat().st_size:,} bytes, with the symbols of `{TRAINED.name}`: its anchors are",
-        "repeated, and each copy has its own chunks. Medians of the times of all symbols and float32 values; ratios of",
-        f"the same round. One thread each unless stated. That of C includes the start of the process. {rounds} rounds.",
-        "",
-        *table(["decoder", "seconds", "processor seconds", "times of `refcodec, native`"], rows),
-        "",
-        f"The digest of all results is {digests.pop()[:16]}.",
-        *(
-            [f"The paper's own decoder takes {PAPER_SECONDS} s for a scene of this size, on a GPU."]
-            * (anchors == PAPER_ANCHORS)
-        ),
-    ]
-
-
-def scale(sizes: Sequence[int], rounds: int, kept: Path = KEPT) -> list[str]:
-    """Returns the lines of the section about whole and streaming decoding, and the encoding of a scene folder."""
-    facts, rows = machine(), []
-    paths = {size: large(size, kept) for size in sizes}
-    wanted = {
-        f"{size} {way}": decoding(way, path, threads=os.cpu_count() or 1)
-        for size, path in paths.items()
-        for way in ("whole", "streaming")
-    }
-    for count, path in paths.items():
-        folder, refcodec = path.with_suffix(""), [sys.executable, "-m", "refcodec"]
-        if not folder.exists():
-            subprocess.run([*refcodec, "decode", path, "-o", folder], check=True, stdout=subprocess.DEVNULL)
-        wanted[f"{count} encode"] = [*refcodec, "encode", str(folder), "-o", str(kept / "again.c3gs")], {}
-    for name, own in in_turn(wanted, rounds).items():
-        size, way = name.split()
-        times = [median(result[clock] for _, result in own) for clock in ("seconds", "processor")]
-        row = [f"{int(size):,}", f"{paths[int(size)].stat().st_size:,}", way, *(f"{time:.2f}" for time in times)]
-        rows.append([*row, f"{1e6 * times[1] / int(size):.2f}", mib(max(spent.peak for spent, _ in own))])
-    head = ["anchors", "bytes", "way", "seconds", "processor seconds", "of an anchor, µs", "resident MiB"]
-    return [
-        facts,
-        f"Medians of {counted(rounds, 'round')}, and the largest peak memory. Whole decoding holds the scene.",
-        "Streaming decoding reads the file in blocks, and releases each chunk. The symbols are those of `decode`.",
-        "encode: of the scene folder, with the start of the process and reading.",
-        "",
-        *table(head, rows),
-    ]
-
-
-def main(words: list[str] | None = None, kept: Path = KEPT) -> int:
-    """Measures and prints. Returns the exit status. kept: the folder of large scenes."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+def _parser(name: str, about: str | None) -> argparse.ArgumentParser:
+    return argparse.ArgumentParser(
+        prog=f"python -m {name}", description=about, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("task", choices=("decode", "scale"))
-    parser.add_argument("--anchors", type=int, nargs="+")
-    parser.add_argument("--rounds", type=int)
+
+
+def main(words: list[str] | None = None) -> int:
+    """Runs a benchmark. Returns the exit status: 64 if it cannot be run."""
+    words = sys.argv[1:] if words is None else words
+    front = _parser("benchmarks", __doc__)
+    front.add_argument("name", choices=BENCHMARKS)
+    name = front.parse_args(words[:1]).name
+    module, function, title = BENCHMARKS[name]
+    # Other benchmarks need other packages.
+    benchmark = import_module(f"benchmarks.{module}")
+    parser = _parser(f"benchmarks {name}", benchmark.__doc__)
+    for option, settings in benchmark.OPTIONS.items():
+        parser.add_argument(option, **settings)
     parser.add_argument("--write", action="store_true", help="write the section of benchmarks/RESULTS.md")
-    options = parser.parse_args(words)
-    if options.task == "decode":
-        anchors, rounds = (options.anchors or [PAPER_ANCHORS])[:1], options.rounds or 7
-        title, lines = "Decoding a large scene", decode(anchors[0], rounds, kept)
-    else:
-        anchors, rounds = options.anchors or list(SIZES), options.rounds or 3
-        title, lines = "Time and memory by the number of anchors", scale(anchors, rounds, kept)
-    command = f"`python -m benchmarks {options.task} --anchors {' '.join(map(str, anchors))} --rounds {rounds}`"
-    return publish(options.task, title, [command, "", *lines], options.write)
+    options = parser.parse_args(words[1:])
+    try:
+        lines = getattr(benchmark, function)(options)
+    except (ValueError, OSError) as error:
+        print(printable(str(error), lines=True), file=sys.stderr)
+        return USAGE
+    return publish(name, title, lines, options.write)
 
 
 if __name__ == "__main__":

@@ -1,15 +1,12 @@
-"""Pictures of a part of a file, in its own order and coarse first: a section of RESULTS.md.
+"""Pictures of a part of a file, in its own order and coarse first.
 
-python -m benchmarks.coarse FILES ... [--write]
+python -m benchmarks coarse FILES ... [--write]
 
 Each file is encoded again coarse first (SPEC.md B.1). The chunks that lie within a share of the bytes are drawn, and
 compared with the whole scene, from the cameras of the file, or around and in a static scene.
 """
 
-from __future__ import annotations
-
-import argparse
-import sys
+from argparse import Namespace
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -33,8 +30,9 @@ from refcodec.rendering.camera import Camera
 from refcodec.rendering.gaussians import Gaussians, gaussians_of, static_splats
 from refcodec.rendering.rasterise import F32, image
 
-from .results import machine, publish, table
+from .results import Arguments, machine, table
 
+OPTIONS: Arguments = {"files": {"type": Path, "nargs": "+"}}
 SHARES = (0.1, 0.15, 0.25, 0.5)
 # Cameras of a file, and the longest side of their pictures in pixels.
 MOST, SIDE = 8, 400
@@ -91,14 +89,9 @@ def row(data: bytes, shown: Sequence[Camera], truth: Sequence[F32], longer: bool
         yield f"{np.mean(-10 * np.log10(errors)):.1f}" if errors else "-"
 
 
-def main(words: list[str] | None = None) -> int:
-    """Runs the command line. Returns the exit status."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.coarse", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("files", type=Path, nargs="+")
-    parser.add_argument("--write", action="store_true", help="write the section of benchmarks/RESULTS.md")
-    options, rows = parser.parse_args(words), list[list[str]]()
+def section(options: Namespace) -> list[str]:
+    """Returns the lines of the section. Raises BitstreamError and OSError."""
+    rows = list[list[str]]()
     for file in options.files:
         data = file.read_bytes()
         scene = parse(data).scene
@@ -106,8 +99,8 @@ def main(words: list[str] | None = None) -> int:
         truth, coarse = list(pictures(scene, shown)), emit(pack_positions(scene, coarse_layers(scene)))
         for title, own, longer in (("", data, False), ("coarse first", coarse, False), ("enlarged", coarse, True)):
             rows.append([title or file.stem, *row(own, shown, truth, longer)])
-    lines = [
-        f"`python -m benchmarks.coarse {' '.join(file.name for file in options.files)}`",
+    return [
+        f"`python -m benchmarks coarse {' '.join(file.name for file in options.files)}`",
         "",
         machine(),
         "PSNR in dB of the chunks that lie within a share of the bytes, relative to the whole scene. Seconds: of a",
@@ -116,8 +109,3 @@ def main(words: list[str] | None = None) -> int:
         "",
         *table(["file", "bytes", "first chunk, s", "whole, s", *(f"{share:.0%}" for share in SHARES)], rows),
     ]
-    return publish("coarse", "Parts of a file", lines, options.write)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,6 +1,6 @@
-"""Splats coded by convert --fast, compared with SPZ and SOG at equal quality: a section of RESULTS.md.
+"""Splats coded by convert --fast, compared with SPZ and SOG at equal quality.
 
-python -m benchmarks.converted FOLDER SPLATS ... --up=-y [--fast 36 40 43 46 50 55] [--write]
+python -m benchmarks converted FOLDER SPLATS ... --up=-y [--fast 36 40 43 46 50 55] [--write]
 
 `refcodec convert --fast` codes each file of SPLATS at several qualities. refcodec, Niantic's library (by gaussforge of
 PyPI, if it is installed) and splat-transform (if it is) write SPZ and SOG. Cameras at random places around the splats,
@@ -8,13 +8,11 @@ near their surfaces and inside, which no encoder has seen, compare renderings of
 keeps the files: finished commands are not repeated.
 """
 
-from __future__ import annotations
-
-import argparse
 import importlib
 import json
 import math
 import sys
+from argparse import Namespace
 from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
@@ -26,19 +24,26 @@ from scipy.spatial import KDTree
 
 from refcodec.bitstream.codec import parse
 from refcodec.convert.views import ANGLE, AXES, middle_and_radius, near_plane
-from refcodec.files.text import printable
 from refcodec.formats.common import Options
 from refcodec.formats.splats import Splats
 from refcodec.formats.table import read_splats, write_splats
 from refcodec.rendering.camera import Camera, axis_direction, looking
 from refcodec.rendering.gaussians import static_splats
 from refcodec.rendering.rasterise import Settings, draw
-from refcodec.statuses import DONE, USAGE, UsageError
+from refcodec.statuses import DONE, UsageError
 
-from .peers.convert import VERSION, ToolError, as_read, convert, tool
+from .peers.convert import VERSION, as_read, convert, tool
 from .resident import usage
-from .results import machine, mib, publish, table
+from .results import Arguments, machine, mib, table
 
+UP = {"choices": AXES, "default": "-y", "help": "axis that is up (-y); write --up=-y"}
+OPTIONS: Arguments = {
+    "folder": {"type": Path},
+    "splats": {"type": Path, "nargs": "+"},
+    "--up": UP,
+    "--each": {"type": int, "default": 8, "help": "cameras of each kind that judge (8)"},
+    "--fast": {"type": float, "nargs": "+", "default": [36, 40, 43, 46, 50, 55], "metavar": "DB", "help": "qualities"},
+}
 KINDS = ("around", "near", "inside")
 HEAD = ["of", "by", "bytes", *KINDS, "PSNR, dB", "the worst", "--fast, bytes", "times", "processor, s", "MiB"]
 NOTE = (
@@ -166,15 +171,16 @@ def others(source: Source, folder: Path) -> dict[str, tuple[int, Splats]]:
     return found
 
 
-def section(sources: Sequence[Source], qualities: Sequence[float], folder: Path) -> list[str]:
+def section(options: Namespace) -> list[str]:
     """Returns the lines of the section. Raises ToolError, UsageError, ValueError and OSError."""
+    folder, sources = options.folder, [Source(file, options.up, options.each) for file in options.splats]
     folder.mkdir(parents=True, exist_ok=True)
     rows = list[list[str]]()
     for source in sources:
         curve = list[tuple[float, int]]()
         rows.append([source.name, f"{len(source.splats.mean):,} Gaussians", f"{source.file.stat().st_size:,}"])
         rows[-1] += [""] * (len(HEAD) - 3)
-        for wanted in qualities:
+        for wanted in options.fast:
             output = (folder / f"{source.name}-fast-{wanted:g}.c3gs").absolute()
             words = ["convert", str(source.file.absolute()), "-o", str(output), "--fast", f"--up={source.up}"]
             took = made([*words, "--psnr", f"{wanted:g}"], output)
@@ -186,7 +192,9 @@ def section(sources: Sequence[Source], qualities: Sequence[float], folder: Path)
             reached, figures = source.row(by, size, splats)
             own = equal_bytes(sorted(curve), reached)
             rows.append([*figures, *([f"{own:,.0f}", f"{size / own:.2f}"] if own else ["", ""]), "", ""])
-    return table(HEAD, rows)
+    files = " ".join(source.file.name for source in sources)
+    command = f"`python -m benchmarks converted FOLDER {files} --up={options.up}`"
+    return [command, "", machine("torch"), *NOTE, "", *table(HEAD, rows)]
 
 
 def equal_bytes(curve: Sequence[tuple[float, int]], reached: float) -> float | None:
@@ -195,34 +203,3 @@ def equal_bytes(curve: Sequence[tuple[float, int]], reached: float) -> float | N
     if not values[0] <= reached <= values[-1]:
         return None
     return float(np.exp(np.interp(reached, values, np.log(sizes))))
-
-
-def main(words: list[str] | None = None) -> int:
-    """Runs the command line. Returns the exit status."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.converted", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("splats", type=Path, nargs="+")
-    parser.add_argument("--up", choices=AXES, default="-y", help="axis that is up (-y); write --up=-y")
-    parser.add_argument("--each", type=int, default=8, help="cameras of each kind that judge (8)")
-    parser.add_argument(
-        "--fast", type=float, nargs="+", default=[36, 40, 43, 46, 50, 55], metavar="DB", help="qualities, dB"
-    )
-    parser.add_argument("--write", action="store_true", help="write the section of benchmarks/RESULTS.md")
-    options = parser.parse_args(words)
-    try:
-        sources = [Source(file, options.up, options.each) for file in options.splats]
-        lines = section(sources, options.fast, options.folder)
-    except (ToolError, UsageError, ValueError, OSError) as error:
-        print(printable(str(error), lines=True), file=sys.stderr)
-        return USAGE
-    files = " ".join(source.file.name for source in sources)
-    command = f"`python -m benchmarks.converted FOLDER {files} --up={options.up}`"
-    return publish(
-        "converted", "Converted splat files", [command, "", machine("torch"), *NOTE, "", *lines], options.write
-    )
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -5,8 +5,6 @@ file is decoded to float32 values twice. The process prints, as JSON, seconds an
 those of its parts if it is whole, and the digest if there is one. Static scenes end with Gaussians.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 import time

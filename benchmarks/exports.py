@@ -1,15 +1,12 @@
-"""Quality and size of exported scenes: a section of RESULTS.md.
+"""Quality and size of exported scenes.
 
-python -m benchmarks.exports --scene NAME FILE.c3gs PHOTOGRAPHS ... [--size 200] [--degree 3] [--write]
+python -m benchmarks exports --scene NAME FILE.c3gs PHOTOGRAPHS ... [--size 200] [--degree 3] [--write]
 
 Each scene is exported to every format with harmonics of a degree, fitted to the cameras of its training. A static scene
 is exported as it is, with its own degree. Every eighth photograph, or the data set's own tests, are held out.
 """
 
-from __future__ import annotations
-
-import argparse
-import sys
+from argparse import Namespace
 from pathlib import Path
 from statistics import fmean
 
@@ -19,17 +16,21 @@ from refcodec.bitstream.dimensions import STATIC
 from refcodec.evaluate.quality import measures
 from refcodec.export.fit import agreement, fit, viewed
 from refcodec.export.views import sized
-from refcodec.files.text import printable
 from refcodec.formats.common import BITS, BITS_MOST, Options
 from refcodec.formats.table import FORMATS, write_splats
 from refcodec.photographs.photographs import read_photographs
 from refcodec.rendering.gaussians import static_splats
 from refcodec.rendering.rasterise import draw
 from refcodec.rendering.view import View
-from refcodec.statuses import USAGE
 
-from .results import machine, publish, table
+from .results import Arguments, machine, table
 
+SCENES = {"nargs": 3, "action": "append", "required": True, "metavar": ("NAME", "FILE", "PHOTOGRAPHS")}
+OPTIONS: Arguments = {
+    "--scene": SCENES,
+    "--size": {"type": int, "default": 200, "help": "longest side of the photographs in pixels (200)"},
+    "--degree": {"type": int, "choices": range(4), "default": 3, "help": "of the harmonics (3)"},
+}
 # As in refcodec export.
 ITERATIONS = 10
 # The measured formats, by suffix.
@@ -72,27 +73,10 @@ def exported(name: str, file: Path, folder: Path, size: int, degree: int) -> lis
     return rows
 
 
-def main(words: list[str] | None = None) -> int:
-    """Runs the command line. Returns the exit status."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.exports", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--scene", nargs=3, action="append", required=True, metavar=("NAME", "FILE", "PHOTOGRAPHS"))
-    parser.add_argument("--size", type=int, default=200, help="longest side of the photographs in pixels (200)")
-    parser.add_argument("--degree", type=int, choices=range(4), default=3, help="of the harmonics (3)")
-    parser.add_argument("--write", action="store_true", help="write the section of benchmarks/RESULTS.md")
-    options = parser.parse_args(words)
+def section(options: Namespace) -> list[str]:
+    """Returns the lines of the section. Raises BitstreamError, PhotographError and OSError."""
     rows = []
-    try:
-        for name, file, folder in options.scene:
-            rows += exported(name, Path(file), Path(folder), options.size, options.degree)
-    except (ValueError, OSError) as error:
-        print(printable(str(error)), file=sys.stderr)
-        return USAGE
+    for name, file, folder in options.scene:
+        rows += exported(name, Path(file), Path(folder), options.size, options.degree)
     words_of = f"--scene NAME FILE.c3gs PHOTOGRAPHS ... --size {options.size} --degree {options.degree}"
-    lines = [f"`python -m benchmarks.exports {words_of}`", "", machine(), *NOTE, "", *table(HEAD, rows)]
-    return publish("exports", "Exported scenes", lines, options.write)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    return [f"`python -m benchmarks exports {words_of}`", "", machine(), *NOTE, "", *table(HEAD, rows)]

@@ -3,8 +3,6 @@
 `python -m benchmarks.front` rewrites it. A test checks that it is current.
 """
 
-from __future__ import annotations
-
 import re
 
 from .results import RESULTS, ROOT, table

@@ -1,16 +1,13 @@
 """Times training on a GPU beside the CPU, phase by phase, and decoding the files that both make.
 
-python -m benchmarks.gpu [--size 400] [--steps 4000] [--write]
+python -m benchmarks gpu [--size 400] [--steps 4000] [--write]
 
 It needs an NVIDIA GPU, nvcc, torch for CUDA and gsplat (`pip install '.[train,cuda]'`), but no network: the photographs
 are those of caliterra in examples/. gsplat is compiled when it is first imported, which takes minutes.
 """
 
-from __future__ import annotations
-
-import argparse
-import sys
 import time
+from argparse import Namespace
 from statistics import median
 
 import torch
@@ -20,14 +17,18 @@ from refcodec.bitstream.reconstruction import reconstruct
 from refcodec.bitstream.scene import Scene
 from refcodec.encoder.quantise import packed
 from refcodec.photographs.photographs import PhotographSet, parse_size, read_photographs
-from refcodec.statuses import USAGE
+from refcodec.statuses import UsageError
 from refcodec.train.command import report
 from refcodec.train.settings import TrainSettings
 from refcodec.train.settings_file import varied
 from refcodec.train.trainer import Trainer
 
-from .results import ROOT, machine, publish, table
+from .results import ROOT, Arguments, machine, table
 
+OPTIONS: Arguments = {
+    "--size": {"default": "400", "help": "longest side of the photographs (400)"},
+    "--steps": {"type": int, "default": 4000, "help": "of each of the two training runs (4000)"},
+}
 HEAD = ["device", "phase", "steps", "median ms of a step"]
 
 
@@ -53,13 +54,8 @@ def timed(photographs: PhotographSet, settings: TrainSettings, device: str) -> t
     return [[device, phase, str(len(ms)), f"{median(ms):.2f}"] for phase, ms in spent.items()], line
 
 
-def main(words: list[str] | None = None) -> int:
-    """Runs the command line. Returns the exit status: 64 if there is no GPU or no gsplat."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--size", default="400", help="longest side of the photographs (400)")
-    parser.add_argument("--steps", type=int, default=4000, help="of each of the two training runs (4000)")
-    parser.add_argument("--write", action="store_true", help="write the section of benchmarks/RESULTS.md")
-    options = parser.parse_args(words)
+def section(options: Namespace) -> list[str]:
+    """Returns the lines of the section. Raises UsageError if there is no GPU or no gsplat."""
     # As `refcodec train` does.
     torch.set_num_threads(1)
     photographs = read_photographs(ROOT / "examples" / "photographs" / "caliterra", parse_size(options.size))
@@ -67,13 +63,7 @@ def main(words: list[str] | None = None) -> int:
     try:
         cuda, cpu = (timed(photographs, settings, device) for device in ("cuda", "cpu"))
     except (ValueError, ModuleNotFoundError) as error:
-        print(f"{error}; pip install '.[train,cuda]' on a machine with an NVIDIA GPU", file=sys.stderr)
-        return USAGE
-    command = f"python -m benchmarks.gpu --size {options.size} --steps {options.steps} --write"
+        raise UsageError(f"{error}; pip install '.[train,cuda]' on a machine with an NVIDIA GPU") from None
+    command = f"python -m benchmarks gpu --size {options.size} --steps {options.steps} --write"
     gpu = f"GPU: {torch.cuda.get_device_name()}, CUDA {torch.version.cuda}."
-    lines = [f"`{command}`", "", machine("torch"), gpu, cuda[1], cpu[1], "", *table(HEAD, [*cpu[0], *cuda[0]])]
-    return publish("gpu", "Training on a GPU beside the CPU", lines, options.write)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    return [f"`{command}`", "", machine("torch"), gpu, cuda[1], cpu[1], "", *table(HEAD, [*cpu[0], *cuda[0]])]

@@ -10,8 +10,6 @@ scene, so that decoding has the same work:
   contexts and the bytes slightly.
 """
 
-from __future__ import annotations
-
 import hashlib
 from dataclasses import replace
 from pathlib import Path

@@ -1,34 +1,35 @@
-"""Coding and decoding of splats of many Gaussians, beside SPZ: a section of RESULTS.md.
+"""Coding and decoding of splats of many Gaussians, beside SPZ.
 
-python -m benchmarks.millions FOLDER SPLAT --up=-y [--copies 1 4 32 160] [--write]
+python -m benchmarks millions FOLDER SPLAT --up=-y [--copies 1 4 32 160] [--write]
 
 The Gaussians of SPLAT are repeated in their places, each number disturbed by a thousandth of its deviation, in random
 order. `refcodec convert --fast` codes them, and Niantic's library (gaussforge of PyPI, if it is installed) writes SPZ.
 FOLDER keeps the files: finished commands are not repeated.
 """
 
-from __future__ import annotations
-
-import argparse
 import sys
+from argparse import Namespace
 from pathlib import Path
 from statistics import median
 
 import numpy as np
 
-from refcodec.convert.views import AXES
-from refcodec.files.text import printable
 from refcodec.formats.common import Options
 from refcodec.formats.splats import Splats
 from refcodec.formats.table import read_splats, write_splats
 from refcodec.rendering.camera import axis_direction
-from refcodec.statuses import USAGE, UsageError
 
-from .__main__ import decoding, in_turn
-from .converted import made
+from .converted import UP, made
+from .decoders import decoding, in_turn
 from .resident import usage
-from .results import machine, mib, publish, table
+from .results import Arguments, machine, mib, table
 
+OPTIONS: Arguments = {
+    "folder": {"type": Path},
+    "splat": {"type": Path},
+    "--up": UP,
+    "--copies": {"type": int, "nargs": "+", "default": [1, 4, 32, 160]},
+}
 HEAD = ["Gaussians", "file", "bytes", "coding, s", "times SPZ", "MiB", "bytes a Gaussian", "decoding, s", "times SPZ"]
 NOTE = (
     "Processor seconds, one thread each. Decoding ends with float32 arrays; medians of three rounds. MiB: the largest",
@@ -70,16 +71,17 @@ def spz(way: str, *paths: Path) -> float | None:
     return float(own[0]) if own else None
 
 
-def section(splats: Splats, name: str, up: str, copies: list[int], folder: Path) -> list[str]:
-    """Returns the lines of the table. Raises UsageError and OSError."""
+def section(options: Namespace) -> list[str]:
+    """Returns the lines of the section. Raises UsageError, ValueError and OSError."""
+    splats, name, folder = read_splats(options.splat), options.splat.name.partition(".")[0], options.folder
     folder.mkdir(parents=True, exist_ok=True)
     rows, least = list[list[str]](), (0, 0.0)
-    for number in copies:
+    for number in options.copies:
         count, plain = number * len(splats.mean), (folder / f"{name}-{number}.ply").absolute()
         if not plain.exists():
             plain.write_bytes(write_splats(many(splats, number), ".ply", Options(axis_direction(0))))
         own, other = plain.with_suffix(".c3gs"), plain.with_suffix(".spz")
-        took = made(["convert", str(plain), "-o", str(own), "--fast", f"--up={up}"], own)
+        took = made(["convert", str(plain), "-o", str(own), "--fast", f"--up={options.up}"], own)
         runs = in_turn({"own": decoding("whole", own)}, 3)["own"]
         spent = took["processor"], median(run["processor"] for _, run in runs)
         theirs = spz("write", plain, other), spz("read", other)
@@ -91,30 +93,5 @@ def section(splats: Splats, name: str, up: str, copies: list[int], folder: Path)
         if theirs[0] and theirs[1]:
             cells = [f"{theirs[0]:.1f}", "1.0", "", "", f"{theirs[1]:.2f}", "1.0"]
             rows.append([f"{count:,}", "SPZ 4", f"{other.stat().st_size:,}", *cells])
-    return table(HEAD, rows)
-
-
-def main(words: list[str] | None = None) -> int:
-    """Runs the command line. Returns the exit status."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.millions", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("splat", type=Path)
-    parser.add_argument("--up", choices=AXES, default="-y", help="axis that is up (-y); write --up=-y")
-    parser.add_argument("--copies", type=int, nargs="+", default=[1, 4, 32, 160])
-    parser.add_argument("--write", action="store_true", help="write the section of benchmarks/RESULTS.md")
-    options = parser.parse_args(words)
-    try:
-        name = options.splat.name.partition(".")[0]
-        lines = section(read_splats(options.splat), name, options.up, options.copies, options.folder)
-    except (UsageError, ValueError, OSError) as error:
-        print(printable(str(error), lines=True), file=sys.stderr)
-        return USAGE
-    command = f"`python -m benchmarks.millions FOLDER {options.splat.name} --up={options.up}`"
-    head = [command, "", machine("torch"), *NOTE, "", *lines]
-    return publish("millions", "Splats of many Gaussians", head, options.write)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    command = f"`python -m benchmarks millions FOLDER {options.splat.name} --up={options.up}`"
+    return [command, "", machine("torch"), *NOTE, "", *table(HEAD, rows)]

@@ -1,7 +1,5 @@
 """Time and peak memory of a process."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

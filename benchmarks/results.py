@@ -1,17 +1,18 @@
 """The sections of RESULTS.md that benchmarks write, and their common parts."""
 
-from __future__ import annotations
-
 import os
 import platform
 from collections.abc import Iterable, Sequence
 from importlib import metadata
 from pathlib import Path
+from typing import Any
 
 from refcodec.statuses import DONE
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "benchmarks" / "RESULTS.md"
+# The options of a benchmark: keyword arguments of add_argument, by name.
+Arguments = dict[str, dict[str, Any]]
 # Extensions of processors that affect speed, as Linux names them.
 EXTENSIONS = "avx2 avx_vnni avx512f avx512_vnni asimd asimddp sve"
 

@@ -1,21 +1,18 @@
-"""What other programs draw of exported scenes: a section of RESULTS.md.
+"""What other programs draw of exported scenes.
 
-python -m benchmarks.viewers --scene NAME FILE.c3gs PHOTOGRAPHS ... [--size 200] [--views 5] [--write]
+python -m benchmarks viewers --scene NAME FILE.c3gs PHOTOGRAPHS ... [--size 200] [--views 5] [--write]
 
 Each scene is exported as `refcodec export` does by default, and Spark, PlayCanvas and three.js draw it in Chromium with
 their own settings, from the cameras of held-out photographs, at half, once and twice the size. INSTALL gets them.
 """
 
-from __future__ import annotations
-
-import argparse
 import io
 import json
 import math
-import sys
 import tempfile
 import threading
 import time
+from argparse import Namespace
 from dataclasses import asdict, replace
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
@@ -28,17 +25,22 @@ from PIL import Image
 from refcodec import api
 from refcodec.bitstream.codec import parse
 from refcodec.evaluate.quality import measures
-from refcodec.files.text import printable
 from refcodec.formats.table import read_splats
 from refcodec.photographs.photographs import read_photographs
 from refcodec.rendering.camera import named_camera
 from refcodec.rendering.rasterise import draw, settings_of
 from refcodec.rendering.view import View, eight_bits
-from refcodec.statuses import USAGE
-from tests.chromium import BrowserError, Chromium, find
+from refcodec.statuses import UsageError
+from tests.chromium import Chromium, find
 
-from .results import machine, publish, table
+from .exports import SCENES
+from .results import Arguments, machine, table
 
+OPTIONS: Arguments = {
+    "--scene": SCENES,
+    "--size": {"type": int, "default": 200, "help": "longest side of the photographs of the training (200)"},
+    "--views": {"type": int, "default": 5, "help": "how many held-out photographs (5)"},
+}
 ROOT = Path(__file__).resolve().parents[1]
 # In a folder that Git ignores.
 FOLDER = ROOT / "build" / "viewers"
@@ -120,36 +122,15 @@ def measured(name: str, file: Path, photographs: Path, size: int, views: int) ->
     return [*rows.values()]
 
 
-def main(words: list[str] | None = None) -> int:
-    """Runs the command line. Returns the exit status."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.viewers", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--scene", nargs=3, action="append", required=True, metavar=("NAME", "FILE", "PHOTOGRAPHS"))
-    parser.add_argument("--size", type=int, default=200, help="longest side of the photographs of the training (200)")
-    parser.add_argument("--views", type=int, default=5, help="how many held-out photographs (5)")
-    parser.add_argument("--write", action="store_true", help="write the section of benchmarks/RESULTS.md")
-    options = parser.parse_args(words)
+def section(options: Namespace) -> list[str]:
+    """Returns the lines of the section. Raises UsageError without the programs, and what `measured` raises."""
     if find() is None or not all((FOLDER / "node_modules" / package).is_dir() for package in PACKAGES):
-        print(f"this needs Chromium, and packages of npm: run `{INSTALL}` in the repository's folder", file=sys.stderr)
-        return USAGE
+        raise UsageError(f"this needs Chromium, and packages of npm: run `{INSTALL}` in the repository's folder")
     rows = []
-    try:
-        for name, file, folder in options.scene:
-            rows += measured(name, Path(file), Path(folder), options.size, options.views)
-    except (ValueError, OSError, BrowserError) as error:
-        print(printable(str(error)), file=sys.stderr)
-        return USAGE
+    for name, file, folder in options.scene:
+        rows += measured(name, Path(file), Path(folder), options.size, options.views)
     found = [json.loads((FOLDER / "node_modules" / p / "package.json").read_text())["version"] for p in PACKAGES]
     versions = ", ".join(f"{package} {version}" for package, version in zip(PACKAGES, found, strict=True))
     words_of = f"--scene NAME FILE.c3gs PHOTOGRAPHS ... --size {options.size} --views {options.views}"
-    return publish(
-        "viewers",
-        "What other programs draw",
-        [f"`python -m benchmarks.viewers {words_of}`", "", machine(), f"{versions}.", *NOTE, "", *table(HEAD, rows)],
-        options.write,
-    )
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    head = [f"`python -m benchmarks viewers {words_of}`", "", machine(), f"{versions}.", *NOTE, ""]
+    return [*head, *table(HEAD, rows)]

@@ -1,16 +1,14 @@
 """Time and memory of each decoder for the worst known files of each decoding step, against SPEC.md 13.1.
 
-python -m benchmarks.worst [--write]
+python -m benchmarks worst [--write]
 
---write also writes the section of RESULTS.md. It takes a quarter of an hour, and needs `cc`.
+It takes a quarter of an hour, and needs `cc`.
 """
 
-from __future__ import annotations
-
-import argparse
 import shutil
 import sys
 import tempfile
+from argparse import Namespace
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -34,10 +32,11 @@ from refcodec.bitstream.tables import STEP_LENGTH, TOTAL, tables_file
 from refcodec.encoder.weights import weight_scales
 from refcodec.statuses import REJECTED
 
-from .__main__ import Decoder, c_decoder
+from .decoders import Decoder, c_decoder
 from .resident import Usage, usage
-from .results import ROOT, machine, mib, publish, table
+from .results import ROOT, Arguments, machine, mib, table
 
+OPTIONS: Arguments = {}
 SMALL = ROOT / "vectors" / "tiny-example.c3gs"
 # Runs SPEC.md's blocks on a file.
 BLOCKS = """
@@ -233,16 +232,11 @@ def rows(large: bool, wanted: dict[str, Decoder]) -> list[str]:
     return table(head, [*made.values(), ["most, with rejected files", "", "", "", *most]])
 
 
-def main(words: list[str] | None = None) -> int:
-    """Measures and prints. Returns the exit status."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.worst", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--write", action="store_true", help="write the section of benchmarks/RESULTS.md")
-    options = parser.parse_args(words)
+def section(_: Namespace) -> list[str]:
+    """Returns the lines of the section. Raises OSError without `cc`, and ValueError if a decoder fails."""
     blocks: dict[str, Decoder] = {"blocks of SPEC.md": ([sys.executable, "-c", BLOCKS, "FILE"], {})}
-    lines = [
-        "`python -m benchmarks.worst`",
+    return [
+        "`python -m benchmarks worst`",
         "",
         machine(),
         "s: processor seconds for 10^9 units (SPEC.md 13.1) with one thread, the least of three runs. s and MiB are",
@@ -253,8 +247,3 @@ def main(words: list[str] | None = None) -> int:
         "",
         *rows(False, blocks),
     ]
-    return publish("worst", "The worst files of each step", lines, options.write)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

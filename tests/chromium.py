@@ -41,7 +41,7 @@ _OPTIONS = (
 _PATIENCE = 120.0
 
 
-class BrowserError(Exception):
+class BrowserError(OSError):
     """An error of the browser, or of a script in its page."""
 
 

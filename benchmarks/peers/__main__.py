@@ -8,8 +8,6 @@ PLAN is the file of an experiment, and FOLDER the folder of `refcodec experiment
 finished training is not repeated. splat-transform writes SPZ and SOG; `run` prints the command that installs it.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import sys
@@ -39,7 +37,7 @@ from refcodec.files.text import printable
 from refcodec.formats.splats import Splats
 from refcodec.formats.table import read_splats, write_splats
 from refcodec.photographs.photographs import PhotographSet, parse_size, read_photographs
-from refcodec.statuses import DONE, INTERRUPTED, USAGE, UsageError
+from refcodec.statuses import DONE, INTERRUPTED, USAGE
 
 from ..results import kb, machine, publish
 from .convert import FORMATS, INSTALL, VERSION, ToolError, there_and_back, tool
@@ -221,7 +219,7 @@ def main(words: list[str] | None = None) -> int:
     training.add_argument("photographs", type=Path)
     training.add_argument("-o", "--output", type=Path, required=True)
     for name, kind in SplatSettings.__annotations__.items():
-        training.add_argument(f"--{name}", type=str if kind == "str" else int, required=True)
+        training.add_argument(f"--{name}", type=kind, required=True)
     rendering = commands.add_parser("scene", help="photographs of a splat, with its licence")
     rendering.add_argument("splat", type=Path)
     rendering.add_argument("-o", "--output", type=Path, required=True)
@@ -241,7 +239,7 @@ def main(words: list[str] | None = None) -> int:
         settings = SplatSettings(*(getattr(given, name) for name in SplatSettings.__annotations__))
         print(dumped(train(given.photographs, given.output, settings)).decode())
         return DONE
-    except (ToolError, UsageError, ValueError, OSError) as error:
+    except (ValueError, OSError) as error:
         print(printable(str(error), lines=True), file=sys.stderr)
         return USAGE
 

@@ -4,8 +4,6 @@ Both formats are complex: SPZ compresses with zstd, and SOG clusters the harmoni
 a widely used program writes them. INSTALL installs it. Nothing here downloads.
 """
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 from dataclasses import replace
@@ -15,6 +13,7 @@ import numpy as np
 
 from refcodec.formats.splats import Splats
 from refcodec.formats.spz import HARMONIC_SIGNS
+from refcodec.statuses import UsageError
 
 from ..results import ROOT
 
@@ -25,7 +24,7 @@ INSTALL = f"npm install --ignore-scripts --no-audit --prefix {FOLDER} @playcanva
 FORMATS = ("spz", "sog")
 
 
-class ToolError(Exception):
+class ToolError(UsageError):
     """splat-transform is missing or failed. The message has the remedy, or the output of the program."""
 
 

@@ -1,6 +1,6 @@
 """Decoding time of C3GS beside SPZ, for the same number of Gaussians, in one run.
 
-python -m benchmarks.peers.speed FOLDER [--write]
+python -m benchmarks peers-speed FOLDER [--write]
 
 FOLDER is the source of Niantic's library, https://github.com/nianticlabs/spz. It is compiled with `c++`, and needs the
 headers of zlib and zstd (Debian: zlib1g-dev, libzstd-dev).
@@ -9,12 +9,9 @@ C3GS decodes a large scene (benchmarks.large), and the same as a static scene, w
 many Gaussians: copies of the export of the trained scene.
 """
 
-from __future__ import annotations
-
-import argparse
 import subprocess
-import sys
 import tempfile
+from argparse import Namespace
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -32,11 +29,17 @@ from refcodec.formats.splats import Splats, rows_of
 from refcodec.formats.table import FORMATS, read_splats, write_splats
 from refcodec.rendering.rasterise import draw, settings_of
 from refcodec.rendering.view import View, stated_cameras
+from refcodec.statuses import UsageError
 
-from ..__main__ import decoding, in_turn
+from ..decoders import decoding, in_turn
 from ..large import PAPER_ANCHORS, TRAINED, large
-from ..results import machine, publish, table
+from ..results import Arguments, machine, table
 
+OPTIONS: Arguments = {
+    "source": {"type": Path, "help": "the source of SPZ"},
+    "--anchors": {"type": int, "default": PAPER_ANCHORS},
+    "--rounds": {"type": int, "default": 5},
+}
 DEGREE = 3
 # The driver, and the sources and options of the library, in its folder.
 DRIVER = Path(__file__).parent / "decoders" / "spz.cc"
@@ -44,7 +47,7 @@ LIBRARY = ["-std=c++17", "-Isrc/cc", "src/cc/load-spz.cc", "src/cc/splat-types.c
 OWN, OWN_STATIC, SPZ = "C3GS", "C3GS, static", "SPZ 4, Niantic's library"
 
 
-class LibraryError(Exception):
+class LibraryError(UsageError):
     """A library cannot be compiled or run. The message has the output of the program."""
 
 
@@ -89,15 +92,16 @@ def ran(command: Sequence[str | Path], folder: Path | None = None) -> str:
     return done.stdout
 
 
-def section(source: Path, anchors: int, rounds: int) -> list[str]:
+def section(options: Namespace) -> list[str]:
     """Measures, in rounds in which each decoder runs once. Returns the lines of the section. Raises LibraryError."""
+    anchors, rounds = options.anchors, options.rounds
     facts, files = machine(), {OWN: large(anchors), OWN_STATIC: large(anchors, static=True)}
     count = int(parse(files[OWN].read_bytes()).scene.masks.sum())
     splats, psnr = exported(TRAINED.read_bytes())
     own = write_splats(splats, ".spz")
     with tempfile.TemporaryDirectory() as name:
         program, one, many, coded, read = (Path(name, end) for end in ("spz", "1.ply", "n.ply", "1.spz", "again.ply"))
-        ran(["c++", "-O3", "-march=native", DRIVER, *LIBRARY, "-o", program], source)
+        ran(["c++", "-O3", "-march=native", DRIVER, *LIBRARY, "-o", program], options.source)
         one.write_bytes(write_splats(splats, ".ply"))
         many.write_bytes(write_splats(repeated(splats, count), ".ply"))
         files[SPZ] = Path(name, "n.spz")
@@ -126,7 +130,7 @@ def section(source: Path, anchors: int, rounds: int) -> list[str]:
     ]
     parts = ", ".join(f"{seconds:.3f} s for {part}" for part, seconds in best[OWN_STATIC]["parts"].items())
     return [
-        f"`python -m benchmarks.peers.speed SPZ --anchors {anchors} --rounds {rounds}`",
+        f"`python -m benchmarks peers-speed SPZ --anchors {anchors} --rounds {rounds}`",
         "",
         facts,
         f"{anchors:,} anchors, which keep {count:,} Gaussians. Processor seconds of the fastest of {rounds} rounds, in",
@@ -142,22 +146,3 @@ def section(source: Path, anchors: int, rounds: int) -> list[str]:
         "",
         *table(["file", "bytes", "bits of a Gaussian", "PSNR, dB"], single),
     ]
-
-
-def main() -> None:
-    """Runs the command line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("source", type=Path, help="the source of SPZ")
-    parser.add_argument("--anchors", type=int, default=PAPER_ANCHORS)
-    parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--write", action="store_true", help="write the section of benchmarks/RESULTS.md")
-    options = parser.parse_args()
-    try:
-        lines = section(options.source, options.anchors, options.rounds)
-    except (LibraryError, OSError) as error:
-        sys.exit(str(error))
-    publish("peers-speed", "Decoding time beside SPZ", lines, options.write)
-
-
-if __name__ == "__main__":
-    main()

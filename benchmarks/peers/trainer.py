@@ -5,8 +5,6 @@ published code, whose training runs have 30,000 steps. Its step numbers are shar
 training has the same order of events.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from dataclasses import dataclass

@@ -1,15 +1,13 @@
 """The benchmarks, on small scenes: their tables are whole, and figures that have a right value are right."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
-from benchmarks import __main__ as front_door
-from benchmarks import coarse, converted, exports, front, gpu, millions, results, viewers, worst
+from benchmarks import coarse, converted, exports, front, millions, results, viewers, worst
+from benchmarks.__main__ import main
 from benchmarks.large import TRAINED, large_file, made_static
 from benchmarks.peers import __main__ as peers
 from benchmarks.peers.speed import repeated
@@ -47,8 +45,8 @@ def test_the_table_of_the_front_page_is_current() -> None:
 def test_decoders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     """All decoders give one digest, and have a row; a section is written if it is asked for."""
     monkeypatch.setattr(results, "RESULTS", tmp_path / "RESULTS.md")
-    assert front_door.main(["decode", "--anchors", "300", "--rounds", "1", "--write"], tmp_path) == 0
-    assert front_door.main(["scale", "--anchors", "300", "5000", "--rounds", "1"], tmp_path) == 0
+    assert main(["decode", "--anchors", "300", "--rounds", "1", "--kept", str(tmp_path), "--write"]) == 0
+    assert main(["scale", "--anchors", "300", "5000", "--rounds", "1", "--kept", str(tmp_path)]) == 0
     printed = capsys.readouterr().out
     assert "| refcodec, numpy, with the digest |" in printed
     assert printed.count("| 300 |") + printed.count("| 5,000 |") == 6
@@ -178,8 +176,9 @@ def test_exports(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[
     """Each scene has a row for itself and each format; a static one has its own degree."""
     monkeypatch.setattr(exports, "ITERATIONS", 0)
     trained = TRAINED.with_name("trained-caliterra.c3gs")
-    words = ["--scene", "a", str(trained), str(CALITERRA), "--size", "40", "--degree", "0"]
-    assert exports.main([*words, "--scene", "b", str(trained.with_name("static-degree-2.c3gs")), str(CALITERRA)]) == 0
+    static = trained.with_name("static-degree-2.c3gs")
+    scenes = ["--scene", "a", str(trained), str(CALITERRA), "--scene", "b", str(static), str(CALITERRA)]
+    assert main(["exports", *scenes, "--size", "40", "--degree", "0"]) == 0
     rows = printed(capsys)
     assert [row[:3] for row in rows if row[1] == ".sog"] == [["a", ".sog", "0"], ["b", ".sog", "2"]]
     assert len(rows) == 12
@@ -189,7 +188,7 @@ def test_viewers_need_packages(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(viewers, "FOLDER", tmp_path)
-    assert viewers.main(["--scene", "a", str(TRAINED), str(CALITERRA)]) == 64
+    assert main(["viewers", "--scene", "a", str(TRAINED), str(CALITERRA)]) == 64
     assert viewers.INSTALL in capsys.readouterr().err
 
 
@@ -200,7 +199,7 @@ def test_converted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pyte
     file.write_bytes(write_splats(splats(150, 1), ".ply"))
     monkeypatch.setattr(converted, "tool", lambda: None)
     monkeypatch.setattr(converted, "MOST", 45)
-    assert converted.main([str(tmp_path / "out"), str(file), "--each", "1", "--fast", "30", "60"]) == 0
+    assert main(["converted", str(tmp_path / "out"), str(file), "--each", "1", "--fast", "30", "60"]) == 0
     whole, low, high, spz, *_ = printed(capsys)
     assert whole[1] == "150 Gaussians"
     assert float(low[6]) + 3 < float(high[6]) <= 45
@@ -213,7 +212,7 @@ def test_millions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytes
     file = tmp_path / "ball.ply"
     file.write_bytes(write_splats(splats(40, 1), ".ply"))
     monkeypatch.setattr(millions, "SPZ", "raise ImportError")
-    assert millions.main([str(tmp_path / "out"), str(file), "--copies", "1", "2"]) == 0
+    assert main(["millions", str(tmp_path / "out"), str(file), "--copies", "1", "2"]) == 0
     assert [row[0] for row in printed(capsys)] == ["40", "80"]
 
 
@@ -224,7 +223,7 @@ def test_coarse(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.
     monkeypatch.setattr(coarse, "SIDE", 60)
     monkeypatch.setattr(coarse, "MOST", 2)
     monkeypatch.setattr(coarse, "SHARES", (0.5, 0.9, 1.0))
-    assert coarse.main([str(file)]) == 0
+    assert main(["coarse", str(file)]) == 0
     own, first, _ = printed(capsys)
     # Gaussians of equal depth are in the order of the file.
     assert min(float(row[-1]) for row in (own, first)) > 60
@@ -233,5 +232,5 @@ def test_coarse(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
 def test_without_a_gpu(capsys: pytest.CaptureFixture[str]) -> None:
-    assert gpu.main(["--size", "40"]) == 64
+    assert main(["gpu", "--size", "40"]) == 64
     assert "no CUDA device" in capsys.readouterr().err

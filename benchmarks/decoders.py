@@ -1,0 +1,159 @@
+"""Decoding time of a large scene by each decoder, and time and memory by the number of anchors.
+
+python -m benchmarks decode [--anchors 421600] [--rounds 7] [--write]
+python -m benchmarks scale [--anchors 10000 ... 4000000] [--rounds 3] [--write]
+
+Each run is a process of its own, and the decoders take turns, so that the load of the machine affects all alike.
+"""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from argparse import Namespace
+from collections.abc import Mapping
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+from tqdm import tqdm
+
+from refcodec.bitstream.tables import tables_file
+from refcodec.files.terminal import bar_options
+from refcodec.files.text import counted
+from refcodec.statuses import DONE
+
+from .large import KEPT, PAPER_ANCHORS, TRAINED, large
+from .resident import Usage, usage
+from .results import ROOT, Arguments, machine, mib, table
+
+OPTIONS: Arguments = {
+    "--anchors": {"type": int, "nargs": "+"},
+    "--rounds": {"type": int},
+    "--kept": {"type": Path, "default": KEPT, "help": "folder of large scenes"},
+}
+SIZES = (10_000, 40_000, 100_000, PAPER_ANCHORS, 1_000_000, 4_000_000)
+# The paths of refcodec. `native` is the one that it chooses itself.
+PATHS = ("numpy", "native", "avx512vnni", "avx512", "avx2", "neon", "plain")
+# Restricts all libraries to one thread.
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "REFCODEC_THREADS"), "1")
+# The decoding time of the paper, on a GPU, for a scene of PAPER_ANCHORS anchors.
+PAPER_SECONDS = 13.1
+
+# A command that decodes a file, and variables of its environment.
+Decoder = tuple[list[str], Mapping[str, str]]
+
+
+def decoding(way: str, path: Path, native: str = "native", threads: int = 1) -> Decoder:
+    """Returns a way of decoding.py on a path of refcodec."""
+    variables = {**ONE_THREAD, "REFCODEC_PATH": native, "REFCODEC_THREADS": str(threads)}
+    return [sys.executable, "-m", "benchmarks.decoding", way, str(path)], variables
+
+
+def c_decoder(kept: Path = KEPT) -> Path:
+    """Compiles the decoder in C, and returns its program. Raises OSError without a C compiler."""
+    kept.mkdir(parents=True, exist_ok=True)
+    source, program = ROOT / "conformance" / "c" / "decoder.c", kept / "decoder"
+    subprocess.run(["cc", "-std=c11", "-O3", "-march=native", source, "-o", program], check=True)
+    return program
+
+
+def decoders(path: Path, kept: Path) -> dict[str, Decoder]:
+    """Returns the decoders of a file that this machine may have."""
+    made = {f"refcodec, {name}": decoding("whole", path, name) for name in PATHS}
+    made |= {f"refcodec, {name}, with the digest": decoding("digest", path, name) for name in ("numpy", "native")}
+    if (cores := os.cpu_count() or 1) > 1:
+        made[f"refcodec, native, {cores} threads"] = decoding("whole", path, "native", cores)
+    if shutil.which("cc"):
+        made["C decoder, with the digest"] = (
+            [str(c_decoder(kept)), "digest", str(path)],
+            {"C3GS_TABLES": str(tables_file())},
+        )
+    if shutil.which("node"):
+        made["JavaScript and WebAssembly"] = ["node", str(ROOT / "benchmarks" / "decoding.mjs"), str(path)], {}
+    return made
+
+
+def in_turn(wanted: Mapping[str, Decoder], rounds: int) -> dict[str, list[tuple[Usage, dict[str, Any]]]]:
+    """Runs each decoder once in each round. Returns what the processes took and printed.
+
+    Decoders that this machine does not have are left out. Those that print no JSON, as the decoder in C, have their
+    digest after the first word, and the times of the process.
+    """
+    runs: dict[str, list[tuple[Usage, dict[str, Any]]]] = {name: [] for name in wanted}
+    for number in tqdm(range(rounds * len(wanted)), unit="runs", **bar_options()):
+        name = [*wanted][number % len(wanted)]
+        spent = usage(*wanted[name])
+        if spent.status == DONE:
+            process: dict[str, Any] = {"seconds": spent.seconds, "processor": spent.processor}
+            if spent.printed.startswith("{"):
+                process = json.loads(spent.printed)
+            elif spent.printed:
+                process |= {"digest": spent.printed.split()[1]}
+            runs[name].append((spent, process))
+    return {name: own for name, own in runs.items() if own}
+
+
+def decode(options: Namespace) -> list[str]:
+    """Returns the lines of the section about a large scene. Raises ValueError if digests differ."""
+    anchors, rounds, kept = (options.anchors or [PAPER_ANCHORS])[0], options.rounds or 7, options.kept
+    path, facts = large(anchors, kept), machine("torch")
+    runs = {name: [result for _, result in own] for name, own in in_turn(decoders(path, kept), rounds).items()}
+    digests = {result["digest"] for own in runs.values() for result in own if "digest" in result}
+    if len(digests) != 1:
+        raise ValueError(f"the decoders disagree: {', '.join(sorted(digests))}")
+    base, rows = runs["refcodec, native"], []
+    for name, own in runs.items():
+        row = [f"{median(result[clock] for result in own):.3f}" for clock in ("seconds", "processor")]
+        ratio = median(one["processor"] / other["processor"] for one, other in zip(own, base, strict=True))
+        rows.append([name, *row, f"{ratio:.2f}"])
+    return [
+        f"`python -m benchmarks decode --anchors {anchors} --rounds {rounds}`",
+        "",
+        facts,
+        f"{anchors:,} anchors, {path.stat().st_size:,} bytes, with the symbols of `{TRAINED.name}`: its anchors are",
+        "repeated, and each copy has its own chunks. Medians of the times of all symbols and float32 values; ratios of",
+        f"the same round. One thread each unless stated. That of C includes the start of the process. {rounds} rounds.",
+        "",
+        *table(["decoder", "seconds", "processor seconds", "times of `refcodec, native`"], rows),
+        "",
+        f"The digest of all results is {digests.pop()[:16]}.",
+        *(
+            [f"The paper's own decoder takes {PAPER_SECONDS} s for a scene of this size, on a GPU."]
+            * (anchors == PAPER_ANCHORS)
+        ),
+    ]
+
+
+def scale(options: Namespace) -> list[str]:
+    """Returns the lines of the section about whole and streaming decoding, and the encoding of a scene folder."""
+    sizes, rounds, kept = options.anchors or SIZES, options.rounds or 3, options.kept
+    facts, rows = machine(), []
+    paths = {size: large(size, kept) for size in sizes}
+    wanted = {
+        f"{size} {way}": decoding(way, path, threads=os.cpu_count() or 1)
+        for size, path in paths.items()
+        for way in ("whole", "streaming")
+    }
+    for count, path in paths.items():
+        folder, refcodec = path.with_suffix(""), [sys.executable, "-m", "refcodec"]
+        if not folder.exists():
+            subprocess.run([*refcodec, "decode", path, "-o", folder], check=True, stdout=subprocess.DEVNULL)
+        wanted[f"{count} encode"] = [*refcodec, "encode", str(folder), "-o", str(kept / "again.c3gs")], {}
+    for name, own in in_turn(wanted, rounds).items():
+        size, way = name.split()
+        times = [median(result[clock] for _, result in own) for clock in ("seconds", "processor")]
+        row = [f"{int(size):,}", f"{paths[int(size)].stat().st_size:,}", way, *(f"{time:.2f}" for time in times)]
+        rows.append([*row, f"{1e6 * times[1] / int(size):.2f}", mib(max(spent.peak for spent, _ in own))])
+    head = ["anchors", "bytes", "way", "seconds", "processor seconds", "of an anchor, µs", "resident MiB"]
+    return [
+        f"`python -m benchmarks scale --anchors {' '.join(map(str, sizes))} --rounds {rounds}`",
+        "",
+        facts,
+        f"Medians of {counted(rounds, 'round')}, and the largest peak memory. Whole decoding holds the scene.",
+        "Streaming decoding reads the file in blocks, and releases each chunk. The symbols are those of `decode`.",
+        "encode: of the scene folder, with the start of the process and reading.",
+        "",
+        *table(head, rows),
+    ]
