@@ -233,6 +233,9 @@ _Noreturn static void REFUSE(enum error code, uint64_t offset)
     exit(registry[i].class == UNSUPPORTED ? STATUS_UNSUPPORTED : STATUS_REFUSED);
 }
 
+/* 10.1: as REQUIRE of SPEC.md, but for the condition of a wrong file */
+#define REFUSE_IF(wrong, code, offset) ((wrong) ? REFUSE(code, offset) : (void)0)
+
 /* 13.1: a block of zeros. Callers have checked the size against the file or the level: count < 2^32, size < 2^16. */
 static void *ALLOCATE(uint64_t count, uint64_t size)
 {
@@ -670,14 +673,10 @@ static void PROLOGUE(struct header *h, struct buffer *b)
 {
     static const uint8_t signature[8] = {0x89, 0x43, 0x33, 0x47, 0x53, 0x0D, 0x0A, 0x1A};
     struct piece p = READ(b, PROLOGUE_LENGTH);
-    if (p.length < PROLOGUE_LENGTH)
-        REFUSE(PROLOGUE_TRUNCATED, p.length);
-    if (memcmp(p.data, signature, 8))
-        REFUSE(PROLOGUE_SIGNATURE, 0);
-    if (GET_U32(p.data + 16) != CRC32(0, p.data, 16))
-        REFUSE(PROLOGUE_CRC, 16);
-    if (GET_U16(p.data + 8) != MAJOR)
-        REFUSE(PROLOGUE_VERSION, 8);
+    REFUSE_IF(p.length < PROLOGUE_LENGTH, PROLOGUE_TRUNCATED, p.length);
+    REFUSE_IF(memcmp(p.data, signature, 8), PROLOGUE_SIGNATURE, 0);
+    REFUSE_IF(GET_U32(p.data + 16) != CRC32(0, p.data, 16), PROLOGUE_CRC, 16);
+    REFUSE_IF(GET_U16(p.data + 8) != MAJOR, PROLOGUE_VERSION, 8);
     h->minor = GET_U16(p.data + 10);
     h->length = GET_U32(p.data + 12);
     if (h->length < HEADER_LENGTH_MIN || h->length > HEADER_LENGTH_MAX || h->length % 4)
@@ -713,10 +712,8 @@ static void HEADER_FIELDS(struct header *h, struct buffer *b)
     struct piece p = READ(b, h->length);
     uint64_t at = PROLOGUE_LENGTH, padding_at, padding;
     uint8_t f[FIXED_LENGTH]; /* as 5.2 to 5.5 have them */
-    if (p.length < h->length)
-        REFUSE(HEADER_TRUNCATED, input_at);
-    if (GET_U32(p.data + p.length - 4) != CRC32(0, p.data, p.length - 4))
-        REFUSE(HEADER_CRC, p.at + p.length - 4);
+    REFUSE_IF(p.length < h->length, HEADER_TRUNCATED, input_at);
+    REFUSE_IF(GET_U32(p.data + p.length - 4) != CRC32(0, p.data, p.length - 4), HEADER_CRC, p.at + p.length - 4);
     memcpy(f, TAKE(p, &at, FIXED_LENGTH), FIXED_LENGTH);
     h->profile = *FIELD(AT_PROFILE);
     h->level = *FIELD(AT_LEVEL);
@@ -756,18 +753,12 @@ static void HEADER_FIELDS(struct header *h, struct buffer *b)
     h->drawn_length = at - AT_RENDER_INFO;
     TAKE(p, &at, DIRECTORY_ENTRY_LENGTH * (uint64_t)h->section_count);
     /* A later minor version may have more fields (12.3). */
-    if (at != p.at + p.length - 4 && h->minor <= MINOR)
-        REFUSE(HEADER_SYNTAX, at);
-    if (!ZERO(p, padding_at - p.at, padding_at - p.at + padding))
-        REFUSE(HEADER_PADDING, padding_at);
-    if (*FIELD(AT_RESERVED))
-        REFUSE(HEADER_RESERVED, AT_RESERVED);
-    if (*FIELD(AT_GRID_RESERVED))
-        REFUSE(HEADER_RESERVED, AT_GRID_RESERVED);
-    if (*FIELD(AT_RENDER_RESERVED))
-        REFUSE(HEADER_RESERVED, AT_RENDER_RESERVED);
-    if (*FIELD(AT_DIMENSIONS_RESERVED))
-        REFUSE(HEADER_RESERVED, AT_DIMENSIONS_RESERVED);
+    REFUSE_IF(at != p.at + p.length - 4 && h->minor <= MINOR, HEADER_SYNTAX, at);
+    REFUSE_IF(!ZERO(p, padding_at - p.at, padding_at - p.at + padding), HEADER_PADDING, padding_at);
+    REFUSE_IF(*FIELD(AT_RESERVED), HEADER_RESERVED, AT_RESERVED);
+    REFUSE_IF(*FIELD(AT_GRID_RESERVED), HEADER_RESERVED, AT_GRID_RESERVED);
+    REFUSE_IF(*FIELD(AT_RENDER_RESERVED), HEADER_RESERVED, AT_RENDER_RESERVED);
+    REFUSE_IF(*FIELD(AT_DIMENSIONS_RESERVED), HEADER_RESERVED, AT_DIMENSIONS_RESERVED);
     h->drawn = ALLOCATE(h->drawn_length, 1);
     memcpy(h->drawn, p.data + (AT_RENDER_INFO - p.at), (size_t)h->drawn_length);
     SURE(h->section_count <= SECTIONS_MAX);
@@ -781,8 +772,7 @@ static void HEADER_FIELDS(struct header *h, struct buffer *b)
         e->mode = d[4];
         e->length = GET_U64(d + 8);
         e->crc = GET_U32(d + 16);
-        if (d[5] || d[6] || d[7])
-            REFUSE(HEADER_RESERVED, entry_at + 5);
+        REFUSE_IF(d[5] || d[6] || d[7], HEADER_RESERVED, entry_at + 5);
     }
 }
 
@@ -793,8 +783,7 @@ struct bounds {
 /* 11.1: one dimension */
 static void DIMENSION(uint32_t value, struct bounds b, uint64_t at)
 {
-    if (value < b.low || value > b.high)
-        REFUSE(HEADER_DIMENSION, at);
+    REFUSE_IF(value < b.low || value > b.high, HEADER_DIMENSION, at);
 }
 
 /* 11.1: the items of a list */
@@ -828,23 +817,15 @@ static void DIMENSIONS(struct header *h, const struct bounds b[15])
     for (int i = 0; i < h->slice_width.count; i++)
         h->features += h->slice_width.item[i];
     h->channels = h->features + 6 + 3u * h->offset_count;
-    if (h->features > FEATURES_MAX)
-        REFUSE(HEADER_DIMENSION, h->slice_width.at);
-    if ((h->plane_size > 0) != planes)
-        REFUSE(HEADER_DIMENSION, AT_PLANE_SIZE);
-    if ((h->sarm_width.count > 0) != planes)
-        REFUSE(HEADER_DIMENSION, AT_SARM_LAYERS);
-    if (!planes && !h->frequency_count && h->hyper_width.count)
-        REFUSE(HEADER_DIMENSION, AT_HYPER_LAYERS);
-    if (h->slice_width.count == 1 && h->carm_width.count)
-        REFUSE(HEADER_DIMENSION, AT_CARM_LAYERS);
+    REFUSE_IF(h->features > FEATURES_MAX, HEADER_DIMENSION, h->slice_width.at);
+    REFUSE_IF((h->plane_size > 0) != planes, HEADER_DIMENSION, AT_PLANE_SIZE);
+    REFUSE_IF((h->sarm_width.count > 0) != planes, HEADER_DIMENSION, AT_SARM_LAYERS);
+    REFUSE_IF(!planes && !h->frequency_count && h->hyper_width.count, HEADER_DIMENSION, AT_HYPER_LAYERS);
+    REFUSE_IF(h->slice_width.count == 1 && h->carm_width.count, HEADER_DIMENSION, AT_CARM_LAYERS);
     /* 6.5: the render models 0 and 1 restrict these two. */
-    if (!h->render_model && h->view_inputs != 4)
-        REFUSE(HEADER_DIMENSION, AT_VIEW_INPUTS);
-    if (!h->render_model && h->colour_outputs != 3)
-        REFUSE(HEADER_DIMENSION, AT_COLOUR_OUTPUTS);
-    if (h->render_model == STATIC && h->view_inputs)
-        REFUSE(HEADER_DIMENSION, AT_VIEW_INPUTS);
+    REFUSE_IF(!h->render_model && h->view_inputs != 4, HEADER_DIMENSION, AT_VIEW_INPUTS);
+    REFUSE_IF(!h->render_model && h->colour_outputs != 3, HEADER_DIMENSION, AT_COLOUR_OUTPUTS);
+    REFUSE_IF(h->render_model == STATIC && h->view_inputs, HEADER_DIMENSION, AT_VIEW_INPUTS);
     if (h->render_model == STATIC && h->colour_outputs != 3 && h->colour_outputs != 12 && h->colour_outputs != 27 &&
         h->colour_outputs != 48)
         REFUSE(HEADER_DIMENSION, AT_COLOUR_OUTPUTS);
@@ -939,12 +920,10 @@ static uint64_t WORK(const struct header *h, const struct network *n)
 static void RENDER_INFO(const struct header *h)
 {
     float x[4];
-    if (h->up_axis > 5)
-        REFUSE(HEADER_RENDER_INFO, AT_UP_AXIS);
+    REFUSE_IF(h->up_axis > 5, HEADER_RENDER_INFO, AT_UP_AXIS);
     for (uint32_t i = 0; i < 4; i++) {
         x[i] = F32(h->render[i]);
-        if (!IS_FINITE(h->render[i]))
-            REFUSE(HEADER_RENDER_INFO, AT_RENDER_NUMBERS + 4 * i);
+        REFUSE_IF(!IS_FINITE(h->render[i]), HEADER_RENDER_INFO, AT_RENDER_NUMBERS + 4 * i);
     }
     for (uint32_t i = 0; i < 4; i++) /* only alpha_max is bounded above, and only low_pass may be 0 */
         if (!(i == 3 ? x[i] >= 0 : x[i] > 0) || (i == 2 && x[i] > 1))
@@ -974,27 +953,20 @@ static void HEADER(struct header *h, struct network *networks)
     uint32_t lowest = h->profile ? 1 : 0;
     struct bounds most;
     uint64_t work;
-    if (h->profile > 1)
-        REFUSE(HEADER_PROFILE, AT_PROFILE);
-    if (h->level < lowest || h->level > 5 * lowest)
-        REFUSE(HEADER_LEVEL, AT_LEVEL);
+    REFUSE_IF(h->profile > 1, HEADER_PROFILE, AT_PROFILE);
+    REFUSE_IF(h->level < lowest || h->level > 5 * lowest, HEADER_LEVEL, AT_LEVEL);
     DIMENSIONS(h, table[h->profile]);
-    if (h->plane_size > levels[h->level].plane_size)
-        REFUSE(HEADER_DIMENSION, AT_PLANE_SIZE);
-    if (h->anchor_count > levels[h->level].anchor_count)
-        REFUSE(HEADER_ANCHOR_COUNT, AT_ANCHOR_COUNT);
+    REFUSE_IF(h->plane_size > levels[h->level].plane_size, HEADER_DIMENSION, AT_PLANE_SIZE);
+    REFUSE_IF(h->anchor_count > levels[h->level].anchor_count, HEADER_ANCHOR_COUNT, AT_ANCHOR_COUNT);
     SHAPES(h, networks);
     work = WORK(h, networks);
     for (uint32_t l = lowest; l < h->level; l++)
-        if (h->anchor_count <= levels[l].anchor_count && h->plane_size <= levels[l].plane_size &&
-            work <= levels[l].work)
-            REFUSE(HEADER_LEVEL_NOT_MINIMAL, AT_LEVEL);
+        REFUSE_IF(h->anchor_count <= levels[l].anchor_count && h->plane_size <= levels[l].plane_size &&
+                  work <= levels[l].work, HEADER_LEVEL_NOT_MINIMAL, AT_LEVEL);
     most = table[h->profile][15];
-    if (h->chunk_size < most.low || h->chunk_size > most.high)
-        REFUSE(HEADER_CHUNK_SIZE, AT_CHUNK_SIZE);
+    REFUSE_IF(h->chunk_size < most.low || h->chunk_size > most.high, HEADER_CHUNK_SIZE, AT_CHUNK_SIZE);
     for (uint32_t i = 0; i < 3; i++)
-        if (h->lanes_log2[i] > LANES_LOG2_MAX)
-            REFUSE(HEADER_LANES, AT_LANES + i);
+        REFUSE_IF(h->lanes_log2[i] > LANES_LOG2_MAX, HEADER_LANES, AT_LANES + i);
     for (uint32_t a = 0; a < 3; a++) {
         float x = F32(h->base_step[a]);
         if (!IS_FINITE(h->base_step[a]) || !(x >= BASE_STEP_MIN && x <= BASE_STEP_MAX))
@@ -1003,13 +975,11 @@ static void HEADER(struct header *h, struct network *networks)
     for (uint32_t a = 0; a < 3; a++)
         if (h->origin[a] <= -ORIGIN_BOUND || h->origin[a] >= ORIGIN_BOUND)
             REFUSE(HEADER_POSITION_GRID, AT_ORIGIN + 8 * a);
-    if (h->scale_mantissa < 1)
-        REFUSE(HEADER_POSITION_GRID, AT_SCALE_MANTISSA);
+    REFUSE_IF(h->scale_mantissa < 1, HEADER_POSITION_GRID, AT_SCALE_MANTISSA);
     if (h->scale_exponent < -SCALE_EXPONENT_MAX || h->scale_exponent > SCALE_EXPONENT_MAX)
         REFUSE(HEADER_POSITION_GRID, AT_SCALE_EXPONENT);
     RENDER_INFO(h);
-    if (work > levels[h->level].work)
-        REFUSE(HEADER_WORK, AT_ANCHOR_COUNT);
+    REFUSE_IF(work > levels[h->level].work, HEADER_WORK, AT_ANCHOR_COUNT);
     if (h->chunk_count < (h->anchor_count + h->chunk_size - 1) / h->chunk_size || h->chunk_count > h->anchor_count)
         REFUSE(HEADER_CHUNK_COUNT, AT_CHUNK_COUNT);
 }
@@ -1027,22 +997,19 @@ static void DIRECTORY(struct header *h, const struct network *networks)
     for (uint32_t i = 0; i < h->section_count; i++)
         for (int c = 0; c < 4; c++) {
             unsigned letter = d[i].type[c] & ~32u;
-            if (letter < 'A' || letter > 'Z')
-                REFUSE(DIRECTORY_TYPE, d[i].at);
+            REFUSE_IF(letter < 'A' || letter > 'Z', DIRECTORY_TYPE, d[i].at);
         }
     for (uint32_t i = 0; i < h->section_count; i++) {
         int section = d[i].type[0] & 32 ? ANCILLARY : 0;
         while (section < CRITICAL && memcmp(d[i].type, types[section], 4))
             section++;
-        if (section == CRITICAL)
-            REFUSE(DIRECTORY_UNKNOWN_CRITICAL, d[i].at);
+        REFUSE_IF(section == CRITICAL, DIRECTORY_UNKNOWN_CRITICAL, d[i].at);
         d[i].section = (enum section)section;
     }
     for (uint32_t i = 0; i < h->section_count; i++)
         if (d[i].section != ANCILLARY && (next >= count || wanted[next++] != (int)d[i].section))
             REFUSE(DIRECTORY_ORDER, d[i].at);
-    if (next < count)
-        REFUSE(DIRECTORY_ORDER, AT_SECTION_COUNT);
+    REFUSE_IF(next < count, DIRECTORY_ORDER, AT_SECTION_COUNT);
     for (uint32_t i = 0; i < h->section_count; i++)
         if (d[i].section != ANCILLARY && d[i].mode > (d[i].section == WGTS || d[i].section == INDX))
             REFUSE(DIRECTORY_MODE, d[i].at + 4);
@@ -1055,8 +1022,7 @@ static void DIRECTORY(struct header *h, const struct network *networks)
         if (d[i].section == INDX)
             expected = PAD4(k * (k + 1)) + POSITION_MODEL_LENGTH * (uint64_t)d[i].mode +
                        CHUNK_ENTRY_LENGTH * (uint64_t)h->chunk_count;
-        if (d[i].length != expected || d[i].length > SECTION_LENGTH_MAX)
-            REFUSE(DIRECTORY_LENGTH, d[i].at + 8);
+        REFUSE_IF(d[i].length != expected || d[i].length > SECTION_LENGTH_MAX, DIRECTORY_LENGTH, d[i].at + 8);
     }
 }
 
@@ -1064,12 +1030,9 @@ static void DIRECTORY(struct header *h, const struct network *networks)
 static struct piece SECTION(const struct entry *e, struct buffer *b)
 {
     struct piece p = READ(b, PAD4(e->length));
-    if (p.length < PAD4(e->length))
-        REFUSE(SECTION_TRUNCATED, input_at);
-    if (CRC32(0, p.data, e->length) != e->crc)
-        REFUSE(SECTION_CRC, p.at);
-    if (!ZERO(p, e->length, p.length))
-        REFUSE(SECTION_PADDING, p.at + e->length);
+    REFUSE_IF(p.length < PAD4(e->length), SECTION_TRUNCATED, input_at);
+    REFUSE_IF(CRC32(0, p.data, e->length) != e->crc, SECTION_CRC, p.at);
+    REFUSE_IF(!ZERO(p, e->length, p.length), SECTION_PADDING, p.at + e->length);
     p.length = e->length;
     return p;
 }
@@ -1082,18 +1045,14 @@ static void SKIP_SECTION(const struct entry *e, struct buffer *b)
     struct piece p;
     while (rest) {
         p = READ(b, rest < 1 << 16 ? rest : 1 << 16);
-        if (!p.length)
-            REFUSE(SECTION_TRUNCATED, input_at);
+        REFUSE_IF(!p.length, SECTION_TRUNCATED, input_at);
         crc = CRC32(crc, p.data, p.length);
         rest -= p.length;
     }
     p = READ(b, PAD4(e->length) - e->length);
-    if (p.length < PAD4(e->length) - e->length)
-        REFUSE(SECTION_TRUNCATED, input_at);
-    if (crc != e->crc)
-        REFUSE(SECTION_CRC, start);
-    if (!ZERO(p, 0, p.length))
-        REFUSE(SECTION_PADDING, p.at);
+    REFUSE_IF(p.length < PAD4(e->length) - e->length, SECTION_TRUNCATED, input_at);
+    REFUSE_IF(crc != e->crc, SECTION_CRC, start);
+    REFUSE_IF(!ZERO(p, 0, p.length), SECTION_PADDING, p.at);
 }
 
 /* ---------------------------------------------------------------- 7.2 integer networks */
@@ -1189,20 +1148,17 @@ static void OPEN(struct stream *s, struct piece p, unsigned lanes_log2)
     uint32_t lanes = UINT32_C(1) << (lanes_log2 & 15); /* LANES_LOG2_MAX at most */
     uint64_t words_at = 8 + 4 * (uint64_t)lanes, raw_at;
     SURE(lanes <= LANES_MAX);
-    if (p.length < words_at)
-        REFUSE(SUBSTREAM_LENGTH, p.at);
+    REFUSE_IF(p.length < words_at, SUBSTREAM_LENGTH, p.at);
     memset(s, 0, sizeof *s);
     s->at = p.at;
     s->lanes = lanes;
     s->expected_crc = GET_U32(p.data);
     s->word_count = GET_U32(p.data + 4);
     raw_at = words_at + 2 * (uint64_t)s->word_count;
-    if (p.length < raw_at)
-        REFUSE(SUBSTREAM_LENGTH, p.at);
+    REFUSE_IF(p.length < raw_at, SUBSTREAM_LENGTH, p.at);
     for (uint32_t n = 0; n < lanes; n++) {
         s->state[n] = GET_U32(p.data + 8 + 4 * n);
-        if (s->state[n] < STATE_MIN)
-            REFUSE(SUBSTREAM_STATE, p.at);
+        REFUSE_IF(s->state[n] < STATE_MIN, SUBSTREAM_STATE, p.at);
     }
     s->words = p.data + words_at;
     s->raw = p.data + raw_at;
@@ -1308,21 +1264,14 @@ static void DECODE_VALUES(struct stream *s, family f, struct value *v, uint64_t 
 /* 8.8 */
 static void END(const struct stream *s)
 {
-    if (s->word_at != s->word_count)
-        REFUSE(SUBSTREAM_WORDS, s->at);
+    REFUSE_IF(s->word_at != s->word_count, SUBSTREAM_WORDS, s->at);
     for (uint32_t n = 0; n < s->lanes; n++)
-        if (s->state[n] != STATE_MIN)
-            REFUSE(SUBSTREAM_FINAL_STATE, s->at);
-    if (s->bad_escape)
-        REFUSE(SUBSTREAM_ESCAPE, s->at);
-    if (s->bad_range)
-        REFUSE(SUBSTREAM_SYMBOL_RANGE, s->at);
-    if (s->raw_length != (s->raw_at + 7) / 8)
-        REFUSE(SUBSTREAM_RAW_LENGTH, s->at);
-    if (s->raw_at % 8 && s->raw[s->raw_length - 1] >> (s->raw_at % 8))
-        REFUSE(SUBSTREAM_RAW_PADDING, s->at);
-    if (s->symbol_crc != s->expected_crc)
-        REFUSE(SUBSTREAM_SYMBOL_CRC, s->at);
+        REFUSE_IF(s->state[n] != STATE_MIN, SUBSTREAM_FINAL_STATE, s->at);
+    REFUSE_IF(s->bad_escape, SUBSTREAM_ESCAPE, s->at);
+    REFUSE_IF(s->bad_range, SUBSTREAM_SYMBOL_RANGE, s->at);
+    REFUSE_IF(s->raw_length != (s->raw_at + 7) / 8, SUBSTREAM_RAW_LENGTH, s->at);
+    REFUSE_IF(s->raw_at % 8 && s->raw[s->raw_length - 1] >> (s->raw_at % 8), SUBSTREAM_RAW_PADDING, s->at);
+    REFUSE_IF(s->symbol_crc != s->expected_crc, SUBSTREAM_SYMBOL_CRC, s->at);
 }
 
 /* ---------------------------------------------------------------- 9.3 the canonical reconstruction */
@@ -1434,32 +1383,26 @@ static void FRAME(struct scene *s, struct piece p)
     struct frame *f = &s->frame;
     uint8_t d[FRAME_LENGTH];
     memcpy(d, p.data, sizeof d);
-    if (d[63])
-        REFUSE(FRAME_RESERVED, p.at + 63);
+    REFUSE_IF(d[63], FRAME_RESERVED, p.at + 63);
     for (uint32_t i = 0; i < 9; i++) {
         int64_t v = GET_I32(d + 4 * i);
-        if (v <= -MATRIX_BOUND || v >= MATRIX_BOUND)
-            REFUSE(FRAME_RANGE, p.at + 4 * i);
+        REFUSE_IF(v <= -MATRIX_BOUND || v >= MATRIX_BOUND, FRAME_RANGE, p.at + 4 * i);
         f->matrix[i] = v;
     }
     for (uint32_t i = 0; i < 3; i++) {
         int64_t v = GET_I64(d + 36 + 8 * i);
-        if (v <= -TRANSLATION_BOUND || v >= TRANSLATION_BOUND)
-            REFUSE(FRAME_RANGE, p.at + 36 + 8 * i);
+        REFUSE_IF(v <= -TRANSLATION_BOUND || v >= TRANSLATION_BOUND, FRAME_RANGE, p.at + 36 + 8 * i);
         f->translation[i] = v;
     }
     for (uint32_t i = 0; i < 3; i++) {
         unsigned v = d[60 + i];
-        if (v > FRAME_SHIFT_MAX)
-            REFUSE(FRAME_RANGE, p.at + 60 + i);
+        REFUSE_IF(v > FRAME_SHIFT_MAX, FRAME_RANGE, p.at + 60 + i);
         f->shift[i] = v;
     }
     for (uint32_t i = 0; i < 3; i++) {
         int64_t low = GET_I32(d + 64 + 4 * i), high = GET_I32(d + 76 + 4 * i);
-        if (low < -FRAME_RANGE_BOUND || low >= FRAME_RANGE_BOUND)
-            REFUSE(FRAME_RANGE, p.at + 64 + 4 * i);
-        if (high <= low || high > FRAME_RANGE_BOUND)
-            REFUSE(FRAME_RANGE, p.at + 76 + 4 * i);
+        REFUSE_IF(low < -FRAME_RANGE_BOUND || low >= FRAME_RANGE_BOUND, FRAME_RANGE, p.at + 64 + 4 * i);
+        REFUSE_IF(high <= low || high > FRAME_RANGE_BOUND, FRAME_RANGE, p.at + 76 + 4 * i);
         f->low[i] = low;
         f->high[i] = high;
     }
@@ -1477,31 +1420,22 @@ static uint64_t LAYER_MODELS(struct scene *s, struct piece p, uint64_t at)
             const uint8_t *m = l->model;
             uint64_t bytes = 4 * (uint64_t)l->outputs * (l->inputs + 1);
             int64_t exponent;
-            if (LAYER_MODEL_LENGTH > p.length - at)
-                REFUSE(WEIGHTS_LENGTH, p.at);
+            REFUSE_IF(LAYER_MODEL_LENGTH > p.length - at, WEIGHTS_LENGTH, p.at);
             memcpy(l->model, p.data + at, sizeof l->model);
             l->model_at = at;
-            if (m[6] || m[7])
-                REFUSE(WEIGHTS_RESERVED, p.at + at + 6);
-            if (m[0] > 1)
-                REFUSE(WEIGHTS_LAYER, p.at + at);
+            REFUSE_IF(m[6] || m[7], WEIGHTS_RESERVED, p.at + at + 6);
+            REFUSE_IF(m[0] > 1, WEIGHTS_LAYER, p.at + at);
             exponent = GET_I16(m + 2);
-            if (exponent < WEIGHT_EXPONENT_MIN || exponent > WEIGHT_EXPONENT_MAX)
-                REFUSE(WEIGHTS_LAYER, p.at + at + 2);
+            REFUSE_IF(exponent < WEIGHT_EXPONENT_MIN || exponent > WEIGHT_EXPONENT_MAX, WEIGHTS_LAYER, p.at + at + 2);
             if (!m[0]) { /* a raw one: exponent_scale, exponent, weight_scale, bias_scale are 0 */
-                if (m[1])
-                    REFUSE(WEIGHTS_LAYER, p.at + at + 1);
-                if (exponent)
-                    REFUSE(WEIGHTS_LAYER, p.at + at + 2);
-                if (m[4])
-                    REFUSE(WEIGHTS_LAYER, p.at + at + 4);
-                if (m[5])
-                    REFUSE(WEIGHTS_LAYER, p.at + at + 5);
+                REFUSE_IF(m[1], WEIGHTS_LAYER, p.at + at + 1);
+                REFUSE_IF(exponent, WEIGHTS_LAYER, p.at + at + 2);
+                REFUSE_IF(m[4], WEIGHTS_LAYER, p.at + at + 4);
+                REFUSE_IF(m[5], WEIGHTS_LAYER, p.at + at + 5);
             }
             at += LAYER_MODEL_LENGTH;
             if (!m[0]) {
-                if (bytes > p.length - at)
-                    REFUSE(WEIGHTS_LENGTH, p.at);
+                REFUSE_IF(bytes > p.length - at, WEIGHTS_LENGTH, p.at);
                 l->raw_at = at;
                 at += bytes;
             }
@@ -1538,24 +1472,21 @@ static void PACKED_LAYER(struct piece p, const struct layer *l, const struct val
         e += difference;
         for (uint64_t i = 0; i < inputs; i++)
             any |= (uint32_t)MAGNITUDE(many[r * inputs + i].value);
-        if (e < WEIGHT_EXPONENT_MIN || e > WEIGHT_EXPONENT_MAX || (any && !(any & 1)) ||
-            (difference && (!any || first)))
-            REFUSE(WEIGHTS_EXPONENT, at);
+        REFUSE_IF(e < WEIGHT_EXPONENT_MIN || e > WEIGHT_EXPONENT_MAX || (any && !(any & 1)) ||
+                  (difference && (!any || first)), WEIGHTS_EXPONENT, at);
         first = first && !any;
         for (uint64_t i = 0; i < inputs; i++)
             PUT_U32(v + 4 * (r * inputs + i), ON_GRID(many[r * inputs + i].value, e));
         PUT_U32(v + 4 * (rows * inputs + r), ON_GRID(bias, e));
     }
-    if (first && GET_I16(l->model + 2))
-        REFUSE(WEIGHTS_EXPONENT, at);
+    REFUSE_IF(first && GET_I16(l->model + 2), WEIGHTS_EXPONENT, at);
 }
 
 /* 6.8: R6.8-3, of values at `at` of the section */
 static void CHECK_FINITE(struct piece p, uint64_t at, uint64_t count)
 {
     for (uint64_t n = 0; n < count; n++)
-        if (!IS_FINITE(GET_U32(p.data + at + 4 * n)))
-            REFUSE(WEIGHTS_NOT_FINITE, p.at + at + 4 * n);
+        REFUSE_IF(!IS_FINITE(GET_U32(p.data + at + 4 * n)), WEIGHTS_NOT_FINITE, p.at + at + 4 * n);
 }
 
 /* 7.13, 6.8: writes the values in mode 1 to v. The first LayerModel is at `at` of the section. */
@@ -1613,20 +1544,15 @@ static void READ_WEIGHTS(struct scene *s, struct piece p, int mode)
     uint64_t values_at = PAD4(2 + inputs), count = WEIGHT_COUNT(s->networks, 0, NETWORKS);
     uint8_t *values = NULL;
     SURE(inputs < FEATURES_MAX);
-    if (p.length < values_at)
-        REFUSE(WEIGHTS_LENGTH, p.at);
+    REFUSE_IF(p.length < values_at, WEIGHTS_LENGTH, p.at);
     s->plane_shift = p.data[0];
-    if (s->plane_shift > (s->h.plane_channels ? PLANE_SHIFT_MAX : 0))
-        REFUSE(WEIGHTS_SCALE, p.at);
-    if (p.data[1] != inputs)
-        REFUSE(WEIGHTS_SCALE, p.at + 1);
+    REFUSE_IF(s->plane_shift > (s->h.plane_channels ? PLANE_SHIFT_MAX : 0), WEIGHTS_SCALE, p.at);
+    REFUSE_IF(p.data[1] != inputs, WEIGHTS_SCALE, p.at + 1);
     for (uint32_t i = 0; i < inputs; i++) {
         s->carm_shift[i] = p.data[2 + i];
-        if (s->carm_shift[i] > CARM_SHIFT_MAX)
-            REFUSE(WEIGHTS_SCALE, p.at + 2 + i);
+        REFUSE_IF(s->carm_shift[i] > CARM_SHIFT_MAX, WEIGHTS_SCALE, p.at + 2 + i);
     }
-    if (!ZERO(p, 2 + inputs, values_at))
-        REFUSE(WEIGHTS_PADDING, p.at + 2 + inputs);
+    REFUSE_IF(!ZERO(p, 2 + inputs, values_at), WEIGHTS_PADDING, p.at + 2 + inputs);
     if (mode) {
         values = ALLOCATE(count, 4);
         DECODE_WEIGHTS(s, p, values_at, values);
@@ -1681,15 +1607,12 @@ static void READ_PLANES(struct scene *s, struct piece p)
     struct stream stream;
     struct value *group;
     uint8_t *bytes;
-    if (p.length < PLANE_TABLE_LENGTH)
-        REFUSE(PLANES_LENGTH, p.at);
+    REFUSE_IF(p.length < PLANE_TABLE_LENGTH, PLANES_LENGTH, p.at);
     for (int i = 0; i < 5; i++)
         sum += PAD4(length[i] = GET_U32(p.data + 4 * i));
-    if (sum != p.length)
-        REFUSE(PLANES_LENGTH, p.at);
+    REFUSE_IF(sum != p.length, PLANES_LENGTH, p.at);
     for (int i = 0; i < 5; at += PAD4(length[i]), i++)
-        if (!ZERO(p, at + length[i], at + PAD4(length[i])))
-            REFUSE(PLANES_PADDING, p.at + at + length[i]);
+        REFUSE_IF(!ZERO(p, at + length[i], at + PAD4(length[i])), PLANES_PADDING, p.at + at + length[i]);
     points = (uint64_t)channels * s->h.plane_size * s->h.plane_size;
     group = ALLOCATE((uint64_t)(channels * size), sizeof *group);
     bytes = ALLOCATE(points, 2);
@@ -1749,11 +1672,9 @@ static int32_t F16_ORDER(uint32_t bits) { return bits >> 15 ? -(int32_t)(bits & 
 /* 5.12, 6.10: R6.10-3, R6.10-4, of a model at `at` of the section */
 static void POSITION_MODEL(struct scene *s, struct piece p, uint64_t at)
 {
-    if (!ZERO(p, at + 1, at + 4))
-        REFUSE(INDEX_RESERVED, p.at + at + 1);
+    REFUSE_IF(!ZERO(p, at + 1, at + 4), INDEX_RESERVED, p.at + at + 1);
     s->cell_shift = p.data[at];
-    if (s->cell_shift > CELL_INDEX)
-        REFUSE(INDEX_POSITION_MODEL, p.at + at);
+    REFUSE_IF(s->cell_shift > CELL_INDEX, INDEX_POSITION_MODEL, p.at + at);
     for (uint64_t m = 0; m < POSITION_MODELS; m++) {
         uint32_t sum = 0, right = 1;
         for (uint64_t i = 0; i < 16; i++) {
@@ -1762,29 +1683,23 @@ static void POSITION_MODEL(struct scene *s, struct piece p, uint64_t at)
             right &= (f == 0) == (i == 0 && m % 6 == 1);
             s->position_model[m][i] = (uint16_t)f;
         }
-        if (!right || sum != 1 << PRECISION)
-            REFUSE(INDEX_POSITION_MODEL, p.at + at + 4 + 32 * m);
+        REFUSE_IF(!right || sum != 1 << PRECISION, INDEX_POSITION_MODEL, p.at + at + 4 + 32 * m);
     }
 }
 
 /* 6.10: R6.10-5, of an entry whose offset is `at` */
 static void CHECK_ENTRY(const struct scene *s, const struct chunk *c, uint64_t at)
 {
-    if (c->anchors < 1 || c->anchors > s->h.chunk_size)
-        REFUSE(INDEX_CHUNK, at + 8);
-    if (c->length % 4 || c->length < CHUNK_HEAD_LENGTH ||
-        ANCHORS_OF_A_BYTE * (c->length - CHUNK_HEAD_LENGTH) < c->anchors)
-        REFUSE(INDEX_CHUNK, at);
-    if (c->kept > (uint64_t)s->h.offset_count * c->anchors)
-        REFUSE(INDEX_CHUNK, at + 12);
+    REFUSE_IF(c->anchors < 1 || c->anchors > s->h.chunk_size, INDEX_CHUNK, at + 8);
+    REFUSE_IF(c->length % 4 || c->length < CHUNK_HEAD_LENGTH ||
+              ANCHORS_OF_A_BYTE * (c->length - CHUNK_HEAD_LENGTH) < c->anchors, INDEX_CHUNK, at);
+    REFUSE_IF(c->kept > (uint64_t)s->h.offset_count * c->anchors, INDEX_CHUNK, at + 12);
     for (uint32_t i = 0; i < 6; i++) {
         uint32_t bits = i < 3 ? c->low[i] : c->high[i - 3];
-        if ((bits & 0x7C00) == 0x7C00 || bits == 0x8000)
-            REFUSE(INDEX_CHUNK, at + 16 + 2 * i);
+        REFUSE_IF((bits & 0x7C00) == 0x7C00 || bits == 0x8000, INDEX_CHUNK, at + 16 + 2 * i);
     }
     for (uint32_t a = 0; a < 3; a++)
-        if (F16_ORDER(c->low[a]) > F16_ORDER(c->high[a]))
-            REFUSE(INDEX_CHUNK, at + 16 + 2 * a);
+        REFUSE_IF(F16_ORDER(c->low[a]) > F16_ORDER(c->high[a]), INDEX_CHUNK, at + 16 + 2 * a);
 }
 
 /* 5.11, 6.10: the section is known to have the length of R6.6-5. data_length is the length of DATA. */
@@ -1795,11 +1710,9 @@ static void READ_INDEX(struct scene *s, struct piece p, int mode, uint64_t data_
     struct chunk c;
     for (uint32_t i = 0; i < numbers; i++) {
         s->mask_model[i] = GET_U16(p.data + 2 * i);
-        if (s->mask_model[i] < 1 || s->mask_model[i] > (1 << PRECISION) - 1)
-            REFUSE(INDEX_MASK_MODEL, p.at + 2 * i);
+        REFUSE_IF(s->mask_model[i] < 1 || s->mask_model[i] > (1 << PRECISION) - 1, INDEX_MASK_MODEL, p.at + 2 * i);
     }
-    if (!ZERO(p, 2 * numbers, at))
-        REFUSE(INDEX_PADDING, p.at + 2 * numbers);
+    REFUSE_IF(!ZERO(p, 2 * numbers, at), INDEX_PADDING, p.at + 2 * numbers);
     s->packed = mode;
     if (mode) {
         POSITION_MODEL(s, p, at);
@@ -1813,8 +1726,7 @@ static void READ_INDEX(struct scene *s, struct piece p, int mode, uint64_t data_
         bytes += c.length; /* below 2^26 * 2^32 */
         s->largest = s->largest < c.anchors ? c.anchors : s->largest;
     }
-    if (anchors != s->h.anchor_count || bytes != data_length)
-        REFUSE(INDEX_LENGTH, p.at);
+    REFUSE_IF(anchors != s->h.anchor_count || bytes != data_length, INDEX_LENGTH, p.at);
 }
 
 /* ---------------------------------------------------------------- 7.4, 7.5 positions and geometry to context */
@@ -1834,10 +1746,8 @@ static void RAW_POSITIONS(struct scene *s, struct piece p)
 {
     for (uint64_t i = 0; i < p.length / 2; i++) {
         uint32_t bits = GET_U16(p.data + 2 * i);
-        if ((bits & 0x7C00) == 0x7C00)
-            REFUSE(POSITIONS_NOT_FINITE, p.at + 2 * i);
-        if (bits == 0x8000)
-            REFUSE(POSITIONS_NEGATIVE_ZERO, p.at + 2 * i);
+        REFUSE_IF((bits & 0x7C00) == 0x7C00, POSITIONS_NOT_FINITE, p.at + 2 * i);
+        REFUSE_IF(bits == 0x8000, POSITIONS_NEGATIVE_ZERO, p.at + 2 * i);
         s->position_bits[i] = (uint16_t)bits;
     }
 }
@@ -1905,12 +1815,10 @@ static void DECODE_POSITIONS(struct scene *s, struct piece p, uint64_t anchors)
     OPEN(&stream, p, s->h.lanes_log2[1]);
     whole = DECODE_CELLS(s, &stream, anchors);
     END(&stream);
-    if (!whole)
-        REFUSE(POSITIONS_COUNT, p.at);
+    REFUSE_IF(!whole, POSITIONS_COUNT, p.at);
     for (uint64_t i = 0; i < 3 * anchors; i++) {
         int32_t bits = CELL_NUMBER(s->nodes[i / 3][i % 3], s->cell_shift);
-        if (bits < 0)
-            REFUSE(POSITIONS_CELL, p.at);
+        REFUSE_IF(bits < 0, POSITIONS_CELL, p.at);
         s->position_bits[i] = (uint16_t)bits;
     }
 }
@@ -1925,8 +1833,7 @@ static void CHECK_BOUNDS(const struct scene *s, const struct chunk *c, uint64_t 
             low = x < low ? x : low;
             high = x > high ? x : high;
         }
-        if (low != F16_ORDER(c->low[a]) || high != F16_ORDER(c->high[a]))
-            REFUSE(CHUNK_BOUNDS, at);
+        REFUSE_IF(low != F16_ORDER(c->low[a]) || high != F16_ORDER(c->high[a]), CHUNK_BOUNDS, at);
     }
 }
 
@@ -2267,20 +2174,16 @@ static void DECODE_CHUNK(struct scene *s, const struct chunk *c, struct piece p)
     struct piece part[3]; /* positions, masks, attributes */
     struct stream stream;
     uint8_t form;
-    if (CRC32(0, p.data, p.length) != c->crc)
-        REFUSE(CHUNK_CRC, p.at);
-    if (!ZERO(p, 13, 16))
-        REFUSE(CHUNK_RESERVED, p.at + 13);
+    REFUSE_IF(CRC32(0, p.data, p.length) != c->crc, CHUNK_CRC, p.at);
+    REFUSE_IF(!ZERO(p, 13, 16), CHUNK_RESERVED, p.at + 13);
     form = p.data[12];
-    if (form > s->packed)
-        REFUSE(CHUNK_FORM, p.at + 12);
+    REFUSE_IF(form > s->packed, CHUNK_FORM, p.at + 12);
     for (int i = 0; i < 3; i++) {
         part[i].length = GET_U32(p.data + 4 * i);
         part[i].at = p.at + sum;
         sum += PAD4(part[i].length);
     }
-    if (sum != p.length || (!form && part[0].length != 6 * n))
-        REFUSE(CHUNK_LENGTH, p.at);
+    REFUSE_IF(sum != p.length || (!form && part[0].length != 6 * n), CHUNK_LENGTH, p.at);
     for (int i = 0; i < 3; i++) {
         uint64_t from = part[i].at - p.at;
         part[i] = CUT(p, from, part[i].length);
@@ -2297,8 +2200,7 @@ static void DECODE_CHUNK(struct scene *s, const struct chunk *c, struct piece p)
     END(&stream);
     for (uint64_t i = 0; i < n * h->offset_count; i++)
         kept += s->masks[i];
-    if (kept != c->kept)
-        REFUSE(CHUNK_KEPT, p.at);
+    REFUSE_IF(kept != c->kept, CHUNK_KEPT, p.at);
     DECODE_ATTRIBUTES(s, part[2], n);
     RECONSTRUCT_POSITIONS(s, n);
     EMIT(&s->part[MASKS], s->masks, n * h->offset_count);
@@ -2336,13 +2238,11 @@ static void CHUNKS(struct scene *s, const struct entry *e)
         struct piece p;
         ENTRY(s->entries, i, &c);
         p = READ(&s->section, c.length);
-        if (p.length < c.length)
-            REFUSE(SECTION_TRUNCATED, input_at);
+        REFUSE_IF(p.length < c.length, SECTION_TRUNCATED, input_at);
         DECODE_CHUNK(s, &c, p);
         s->first_anchor += c.anchors;
     }
-    if (e->crc)
-        REFUSE(SECTION_CRC, start);
+    REFUSE_IF(e->crc, SECTION_CRC, start);
 }
 
 /* ---------------------------------------------------------------- 10.1 the file */
@@ -2430,8 +2330,7 @@ static void DECODE_FILE(struct scene *s, int print)
             SKIP_SECTION(e, &s->section);
         }
     }
-    if (READ(&s->section, 1).length)
-        REFUSE(FILE_TRAILING, input_at - 1);
+    REFUSE_IF(READ(&s->section, 1).length, FILE_TRAILING, input_at - 1);
     PARTS_END(s, print);
 }
 
