@@ -92,7 +92,6 @@ def test_exponents_that_are_not_the_least(spec: dict, data: st.DataObject) -> No
     assert (layer is None) == (text is None)
     if layer is not None:
         again = to_grid(layer)
-        assert again is not None
         assert again.exponent == exponent
         assert np.array_equal(again.difference, difference)
 
@@ -123,7 +122,6 @@ def test_rendering_networks_on_a_grid(bits: int) -> None:
                 assert grid_weight is weight
                 continue
             grid = to_grid((grid_weight, grid_bias))
-            assert grid is not None
             step = np.abs(weight).max() / ((1 << (bits - 1)) - 0.5)
             assert np.abs(weight - grid_weight).max() <= step
             assert np.abs(bias - grid_bias).max() <= step
@@ -136,8 +134,6 @@ def test_a_scene_of_grids() -> None:
     small = pack_weights(replace(scene, networks=quantise_rendering(scene.networks, 6)))
     data, raw = codec.emit(small), codec.emit(scene)
     sections, before = (parse_container(d).section(directory.WEIGHTS) for d in (data, raw))
-    assert sections is not None
-    assert before is not None
     assert (sections.mode, before.mode) == (1, 0)
     assert 3 * (sections.end - sections.start) < before.end - before.start
     parsed = codec.parse(data).scene
@@ -154,7 +150,6 @@ def test_a_scene_of_grids() -> None:
 
 def test_scales_that_cannot_be_written() -> None:
     scene = pack_weights(random_scene(5, 2))
-    assert scene.weight_scales is not None
     raw = next(i for i, (name, _, _) in enumerate(layers_of(scene.dimensions)) if name == "opacity.0")
     assert not scene.weight_scales[raw].any(), "float32 of a training framework is on no grid"
     wrong = scene.weight_scales.copy()

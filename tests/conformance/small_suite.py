@@ -123,13 +123,8 @@ def build(
                 "generator": {"name": "test", "seed": 0},
             }
         )
-    manifest = {
-        "suite": "c3gs-conformance",
-        "suite_version": "0.0.1",
-        "format_version": 0,
-        "flags": {},
-        "features": {"header": "it"},
-    }
-    (folder / MANIFEST).write_text(json.dumps({**manifest, "vectors": vectors}))
+    manifest = {"suite": "c3gs-conformance", "suite_version": "0.0.1", "format_version": 0}
+    manifest |= {"flags": {}, "features": {"header": "it"}, "vectors": vectors}
+    (folder / MANIFEST).write_text(json.dumps(manifest))
     (answers / "answers.json").write_text(json.dumps(known))
     return Suite(folder, answers / "answers.json")

@@ -119,7 +119,6 @@ def test_the_first_wrong_number_tells_the_clause(bug: str, tmp_path: Path, monke
     finally:
         for known in [known for known in sys.modules if known.partition(".")[0] == "wrong_probes"]:
             del sys.modules[known]
-    assert compared.first is not None
     assert (compared.first.name, compared.first.clauses) == (name, clauses)
 
 
@@ -196,7 +195,6 @@ def test_what_is_behind_a_wrong_symbol_is_not_told() -> None:
     head, _, tail = right.partition("attributes.scalings[0,0] ")
     trace = f"{head}attributes.scalings[0,0] 12345{tail[tail.index(chr(10)) :]}".replace("steps[0] 0", "steps[0] 1")
     symbol, compared = divergence.of_trace(EXAMPLE, trace.encode())
-    assert symbol is not None
     assert symbol.element == "attributes.scalings[0,0]"
     assert compared.first is None
     (line,) = compared.lines(symbol=True)
@@ -206,10 +204,8 @@ def test_what_is_behind_a_wrong_symbol_is_not_told() -> None:
 def test_numbers_that_were_not_written_leave_doubt() -> None:
     """A number may be wrong by the clauses of those that it comes from."""
     first = _compared("probe u[0] 0 0 0\n").first
-    assert first is not None
     assert first.clauses == ("7.5.3", "7.5.2", "7.5.1", "7.4")
     first = _compared("probe P[0] 4194304 12582912 -4194304\nprobe samples.r1[0] 0\n").first
-    assert first is not None
     assert first.clauses == ("7.5.4", "7.3", "7.5.3", "7.5.2", "7.5.1")
 
 
@@ -221,7 +217,6 @@ def test_a_trace_without_probes_says_nothing_of_them() -> None:
     assert compared == Compared()
     # An empty trace lacks its first symbol.
     symbol, compared = divergence.of_trace(EXAMPLE, b"")
-    assert symbol is not None
     assert symbol.found == "nothing"
     assert compared == Compared()
 

@@ -66,7 +66,6 @@ def test_an_experiment(place: Path, call: Call, monkeypatch: pytest.MonkeyPatch)
         if one["lambda_r"] != "0":
             assert int(one["bytes"]) == (folder / "work" / "scene.c3gs").stat().st_size
         result = read_result(folder)
-        assert result is not None
         assert float(one["psnr"]) == pytest.approx(result.mean.psnr, rel=1e-5)
         assert [image.psnr - result.mean.psnr for image in result.images] == pytest.approx([-1, 0, 1])
     assert {path.name for path in (out / "curves").iterdir()} == {"one.png", "one.svg"}

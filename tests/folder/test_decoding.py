@@ -136,7 +136,6 @@ def test_good_chunks_of_a_damaged_file(chunks: list[int], tmp_path: Path) -> Non
 
 def test_a_fault_behind_the_chunks_drops_none(tmp_path: Path) -> None:
     done = decoded(DATA_OF + b"x", tmp_path / "left", keep_going=True)
-    assert done.error is not None
     assert (done.anchors, done.damage, done.error.kind.name) == (90, {}, "file.trailing")
 
 

@@ -44,7 +44,6 @@ def test_a_function_is_kept_outside_the_package(cache: Path) -> None:
     # Functions of other packages keep numba's own places.
     assert not Path(numba.njit(cache=True)(twice).stats.cache_path).is_relative_to(cache / __name__)
     folder = compiled._folder(__name__)
-    assert folder is not None
     assert folder.parent == cache / __name__
     assert folder.name.startswith(f"{refcodec.__version__}-")
     assert {path.suffix for path in folder.iterdir()} == {".nbi", ".nbc"}
@@ -83,7 +82,6 @@ def test_a_stamp_tells_changes(
 
 def test_the_folders_that_were_used_last_stay(cache: Path) -> None:
     first = compiled._folder(tiles.__name__)
-    assert first is not None
     for age in range(8):
         old = first.parent / f"0.0.{age}-0123456789abcdef"
         old.mkdir()
@@ -100,7 +98,6 @@ def test_the_folders_that_were_used_last_stay(cache: Path) -> None:
 def test_a_folder_that_another_process_removes_is_made_again(cache: Path) -> None:
     function = compiled.compiled()(twice)
     folder = compiled._folder(__name__)
-    assert folder is not None
     shutil.rmtree(folder)
     assert function(1) == 2
     assert any(folder.iterdir())

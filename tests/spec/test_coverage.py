@@ -12,22 +12,6 @@ from conformance.manifest import Rejected, load
 from conformance.spec_decoder.program import SPEC
 from refcodec.inspect.elements import rows
 from spec import coverage, elements
-from spec.coverage import (
-    ANY_FILE,
-    AT,
-    BEYOND,
-    FALSE,
-    IMAGES,
-    LINE,
-    QUANTITIES,
-    TOO_LARGE,
-    TRUE,
-    extremes_of,
-    of_vectors,
-    probed,
-    reached,
-    report,
-)
 
 SUITE = load()
 EXAMPLE = next(vector for vector in SUITE.vectors if vector.id == "valid-worked-example")
@@ -35,56 +19,58 @@ DATA = (SUITE.folder / EXAMPLE.input.path).read_bytes()
 
 
 def test_probes_change_nothing() -> None:
-    probes = probed()
+    probes = coverage.probed()
     for data in (DATA, DATA[:-1], b""):
         digests, error = spec_decoder.verdict(probes.names, data)
         own, wrong = spec_decoder.verdict(spec_decoder.names(), data)
         assert (digests, error) == (own, wrong)
-    assert {site.kind for site in probes.sites} == {LINE, TRUE, FALSE, AT, BEYOND}
-    assert {site.function for site in probes.sites} >= IMAGES
+    kinds = {coverage.LINE, coverage.TRUE, coverage.FALSE, coverage.AT, coverage.BEYOND}
+    assert {site.kind for site in probes.sites} == kinds
+    assert {site.function for site in probes.sites} >= coverage.IMAGES
     assert probes.extremes["accumulator of a row"][1] < 1 << 24
 
 
 def test_each_quantity_has_its_bound() -> None:
     text = SPEC.read_text(encoding="utf-8")
-    lines, unreached = extremes_of(text, dict.fromkeys(QUANTITIES.values(), (-3, 2)))
-    assert unreached == len(QUANTITIES) - len(TOO_LARGE)
-    assert extremes_of(text, dict.fromkeys(QUANTITIES.values(), (0, 1 << 60)))[1] == 0
-    assert sum(line.startswith("   2 of") for line in lines) == len(QUANTITIES)
-    assert sum("no probe" in line for line in lines) == len(lines) - 1 - len(QUANTITIES)
+    lines, unreached = coverage.extremes_of(text, dict.fromkeys(coverage.QUANTITIES.values(), (-3, 2)))
+    assert unreached == len(coverage.QUANTITIES) - len(coverage.TOO_LARGE)
+    assert coverage.extremes_of(text, dict.fromkeys(coverage.QUANTITIES.values(), (0, 1 << 60)))[1] == 0
+    assert sum(line.startswith("   2 of") for line in lines) == len(coverage.QUANTITIES)
+    assert sum("no probe" in line for line in lines) == len(lines) - 1 - len(coverage.QUANTITIES)
 
 
 def test_a_hole_is_shown() -> None:
-    sites = probed().sites
+    sites = coverage.probed().sites
     place = next(n for n, site in enumerate(sites) if site.function == "RSHIFT_ROUND")
     reaching = [["a", "b"] for _ in sites]
-    assert report(sites, reaching)[1] == 0
+    assert coverage.report(sites, reaching)[1] == 0
     reaching[place] = []
-    lines, holes = report(sites, reaching)
+    lines, holes = coverage.report(sites, reaching)
     assert holes == 1
     assert any(f"line {sites[place].line}: {sites[place].text}" in line for line in lines)
     for n, site in enumerate(sites):
-        if site.function in IMAGES:
+        if site.function in coverage.IMAGES:
             reaching[n] = []
-    assert report(sites, reaching)[1] == 1
+    assert coverage.report(sites, reaching)[1] == 1
 
 
 def test_a_file_reaches_what_it_has() -> None:
     """The example is accepted: no test of REQUIRE is false. A cut file stops early."""
-    sites = probed().sites
-    own = {sites[n] for n in reached(DATA)[0]}
-    refusals = [site for site in own if site.function == "REQUIRE" and site.kind == LINE and "raise" in site.text]
+    sites = coverage.probed().sites
+    own = {sites[n] for n in coverage.reached(DATA)[0]}
+    refusing = [site for site in own if site.function == "REQUIRE" and "raise" in site.text]
+    refusals = [site for site in refusing if site.kind == coverage.LINE]
     assert not refusals
-    assert {sites[n] for n in reached(DATA[:9])[0]} - own
-    assert len(reached(DATA[:9])[0]) < len(own) / 4
+    assert {sites[n] for n in coverage.reached(DATA[:9])[0]} - own
+    assert len(coverage.reached(DATA[:9])[0]) < len(own) / 4
 
 
 def test_a_comparison_at_its_bound() -> None:
     """A comparison shows whether its last number held, and whether the first one beyond failed."""
-    own = probed()
-    check, wanted = own.names["CHECK_SUBSTREAM"], ("CHECK_SUBSTREAM", "length >= 8 + 4 * lanes", AT)
+    own = coverage.probed()
+    check, wanted = own.names["CHECK_SUBSTREAM"], ("CHECK_SUBSTREAM", "length >= 8 + 4 * lanes", coverage.AT)
     at = next(n for n, site in enumerate(own.sites) if (site.function, site.text, site.kind) == wanted)
-    assert own.sites[at + 1].kind == BEYOND
+    assert own.sites[at + 1].kind == coverage.BEYOND
     for length, seen in ((13, [0, 0]), (12, [1, 0]), (10, [0, 0]), (11, [0, 1])):
         own.seen[:] = bytes(len(own.seen))
         with contextlib.suppress(own.names["Refused"]):
@@ -136,8 +122,8 @@ def test_no_element_is_without_its_extremes() -> None:
 
 def test_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     small = replace(SUITE, vectors=(EXAMPLE,))
-    reaching, _ = of_vectors(small, 1)
-    assert {name for names in reaching for name in names} == {ANY_FILE, EXAMPLE.id}
+    reaching, _ = coverage.of_vectors(small, 1)
+    assert {name for names in reaching for name in names} == {coverage.ANY_FILE, EXAMPLE.id}
     monkeypatch.setattr(coverage, "load", lambda: small)
     assert coverage.main(1) == 1
     assert "REQUIRE" in capsys.readouterr().out

@@ -808,7 +808,6 @@ def test_packed_positions_and_weights_as_printed(spec: dict) -> None:
             assert bytes.fromhex(re.sub(r"^[A-Za-z]+ +", "", line)) in data
     printed = rows(section("D.3"))
     models = {int(r[0]): [int(f) for f in r[1].split(", ")] for r in printed if len(r) == 2}
-    assert scene.position_model is not None
     assert all(scene.position_model.frequency[n].tolist() == frequency for n, frequency in models.items())
     cells: dict[tuple[int, str], list[int]] = {}
     for row, index in coded([r for r in printed if len(r) == 9], 3):
