@@ -6,22 +6,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ..bitstream import positions as cells
 from ..bitstream.chunks import chunk_ranges
 from ..bitstream.conventions import F32, Int64
 from ..bitstream.entropy import SymbolName
 from ..bitstream.header import ORIGIN_BOUND, SCALE_EXPONENT_MAX, PositionGrid
-from ..bitstream.positions import (
-    CELL_INDEX,
-    EMPTY_MODELS,
-    HALVES,
-    POSITION_MODELS,
-    PositionModel,
-    cells,
-    chunk_codes,
-    code_cells,
-    morton,
-    position_integers,
-)
 from ..bitstream.scene import Scene, take_anchors
 from ..bitstream.tables import TOTAL, ModelSet, tables
 
@@ -86,9 +75,9 @@ def choose_cells(positions: NDArray[np.float16]) -> int:
 
     positions: float16 [N, 3], finite.
     """
-    every = int(np.bitwise_or.reduce(position_integers(positions), axis=None))
-    shift = min((every & -every).bit_length() - 1, CELL_INDEX - 1) if every else 0
-    return CELL_INDEX if (cells(positions, shift) < 0).any() else shift
+    every = int(np.bitwise_or.reduce(cells.position_integers(positions), axis=None))
+    shift = min((every & -every).bit_length() - 1, cells.CELL_INDEX - 1) if every else 0
+    return cells.CELL_INDEX if (cells.cells(positions, shift) < 0).any() else shift
 
 
 def morton_order(positions: NDArray[np.float16]) -> Int64:
@@ -96,14 +85,14 @@ def morton_order(positions: NDArray[np.float16]) -> Int64:
 
     Positions with the same cell keep their order.
     """
-    return np.argsort(morton(cells(positions, choose_cells(positions))), kind="stable")
+    return np.argsort(cells.morton(cells.cells(positions, choose_cells(positions))), kind="stable")
 
 
 class _Counter:
     """A coder that counts the symbols of trees of cells. counts: int64 [18, 16], by model and symbol."""
 
     def __init__(self) -> None:
-        self.counts = np.zeros((POSITION_MODELS, HALVES), dtype=np.int64)
+        self.counts = np.zeros((cells.POSITION_MODELS, cells.HALVES), dtype=np.int64)
 
     def plain(self, models: ModelSet, index: Int64, counts: list[int], name: SymbolName, given: Int64 | None) -> Int64:
         assert given is not None
@@ -124,18 +113,20 @@ def frequencies(counts: Int64, first: int) -> Int64:
     return frequency
 
 
-def position_model(positions: NDArray[np.float16], chunk_size: int, chunks: list[range] | None = None) -> PositionModel:
+def position_model(
+    positions: NDArray[np.float16], chunk_size: int, chunks: list[range] | None = None
+) -> cells.PositionModel:
     """SPEC B.1: returns cell_shift and the observed frequencies in the chunks that can be packed.
 
     positions: float16 [N, 3], finite, in file order. chunks: the anchors of each, None for the fewest chunks.
     """
     cell_shift, counter = choose_cells(positions), _Counter()
     for chunk in chunk_ranges(len(positions), chunk_size) if chunks is None else chunks:
-        code = chunk_codes(positions[chunk.start : chunk.stop], cell_shift)
+        code = cells.chunk_codes(positions[chunk.start : chunk.stop], cell_shift)
         if code is not None:
-            code_cells(counter, tables().gauss, [], [len(chunk)], code)
-    frequency = [frequencies(c, int(model in EMPTY_MODELS)) for model, c in enumerate(counter.counts)]
-    return PositionModel(cell_shift, np.array(frequency, dtype=np.uint16))
+            cells.code_cells(counter, tables().gauss, [], [len(chunk)], code)
+    frequency = [frequencies(c, int(model in cells.EMPTY_MODELS)) for model, c in enumerate(counter.counts)]
+    return cells.PositionModel(cell_shift, np.array(frequency, dtype=np.uint16))
 
 
 def pack_positions(scene: Scene, layers: Int64 | None = None) -> Scene:

@@ -21,18 +21,8 @@ from ..bitstream.scene import Scene, take_anchors
 from ..bitstream.streaming import pieces
 from ..files.stage import new_file
 from ..files.text import counted
+from . import layout
 from .arrays import RowsFile, write_arrays, write_networks
-from .layout import (
-    CODED_FILE,
-    FORMAT,
-    NETWORKS_FILE,
-    PLANES_FILE,
-    PLY_FILE,
-    SCENE_FILE,
-    ancillary_name,
-    fingerprint,
-    replace_scene,
-)
 from .ply import CloudFile
 
 # The number of anchors that are reconstructed and written at once.
@@ -72,7 +62,7 @@ def write_folder(scene: Scene, path: str | Path) -> None:
     def write(folder: Path) -> None:
         _write_files(folder, scene.anchor_count, scene, _blocks(scene), lambda: scene)
 
-    replace_scene(Path(path), write)
+    layout.replace_scene(Path(path), write)
 
 
 def decode_folder(
@@ -139,7 +129,7 @@ def decode_folder(
                 file.unlink()
             write_chunks(folder, [number for number in wanted if number not in damage], None, True)
 
-    replace_scene(Path(path), write)
+    layout.replace_scene(Path(path), write)
     lost = {number: len(index[number].anchors) for number in damage}
     anchors = sum(len(index[number].anchors) for number in wanted) - sum(lost.values())
     return Written(anchors, damage, lost, next(iter([*damage.values(), *behind]), None), digests)
@@ -166,7 +156,7 @@ def _write_files(
     """
     d, digest = head.dimensions, StreamDigest()
     chunks: list[str] = []
-    with new_file(path / PLY_FILE) as ply, new_file(path / CODED_FILE) as arrays:
+    with new_file(path / layout.PLY_FILE) as ply, new_file(path / layout.CODED_FILE) as arrays:
         cloud = CloudFile(ply, count, d.offset_count, d.features)
         coded = RowsFile(arrays, {name: (a.dtype, a.shape[1:]) for name, a in _coded(head).items()}, count)
         for block in blocks:
@@ -177,10 +167,10 @@ def _write_files(
             if numbers is not None:
                 chunks.append(chunk_digest(block))
     scene = whole()
-    write_networks(path / NETWORKS_FILE, scene.networks)
-    write_arrays(path / PLANES_FILE, {"planes": scene.planes})
+    write_networks(path / layout.NETWORKS_FILE, scene.networks)
+    write_arrays(path / layout.PLANES_FILE, {"planes": scene.planes})
     for number, section in enumerate(scene.ancillary):
-        _put(path / ancillary_name(number, section.type), section.content)
+        _put(path / layout.ancillary_name(number, section.type), section.content)
     document = _scene_document(scene, count, digest.finish_parts(scene))
     if numbers is not None:
         document["chunks"] = [numbers.start, numbers.stop]
@@ -188,8 +178,8 @@ def _write_files(
         document["dropped_chunks"] = [
             {"chunk": number, **json.loads(error.to_json())} for number, error in sorted(damage.items())
         ]
-    document["fingerprint"] = fingerprint(document)
-    _put(path / SCENE_FILE, _json_text(document).encode())
+    document["fingerprint"] = layout.fingerprint(document)
+    _put(path / layout.SCENE_FILE, _json_text(document).encode())
     return chunks
 
 
@@ -225,7 +215,7 @@ def _short(value: Any) -> Any:
 def _scene_document(scene: Scene, count: int, digest: tuple[str, dict[str, str]]) -> dict[str, Any]:
     """Returns the values of scene.json. count: N. digest: those of the scene and of its parts."""
     return {
-        "format": FORMAT,
+        "format": layout.FORMAT,
         "version": MAJOR,
         "profile": PROFILES[scene.profile].name,
         "anchor_count": count,
@@ -241,8 +231,8 @@ def _scene_document(scene: Scene, count: int, digest: tuple[str, dict[str, str]]
         "mask_model": scene.mask_model.tolist(),
         **_coding_document(scene),
         "ancillary": [
-            {"type": a.type.decode("ascii"), "mode": a.mode, "after": a.after, "file": ancillary_name(number, a.type)}
-            for number, a in enumerate(scene.ancillary)
+            {"type": a.type.decode("ascii"), "mode": a.mode, "after": a.after, "file": layout.ancillary_name(n, a.type)}
+            for n, a in enumerate(scene.ancillary)
         ],
         "digest": {"whole": digest[0], **digest[1]},
     }

@@ -12,23 +12,16 @@ from random_scenes import random_scene
 from spec_numbers import f32_bits
 
 from conformance.cases.scenes import MAIN_DIMENSIONS
-from refcodec.bitstream import codec, directory
+from refcodec.bitstream import codec, directory, weights
 from refcodec.bitstream.codec import parse_container
 from refcodec.bitstream.conventions import f32_parts
 from refcodec.bitstream.dimensions import layers_of
 from refcodec.bitstream.networks import IntNetwork, derive_layer
-from refcodec.bitstream.weights import (
-    WEIGHT_EXPONENT_MAX,
-    WEIGHT_EXPONENT_MIN,
-    WEIGHT_SYMBOL_MAX,
-    from_grid,
-    to_grid,
-)
 from refcodec.encoder.quantise import packed
 from refcodec.encoder.weights import RENDERING, exact_networks, pack_weights, quantise_rendering
 
 FINITE = st.floats(width=32, allow_nan=False, allow_infinity=False)
-GRID = st.tuples(st.integers(-WEIGHT_SYMBOL_MAX, WEIGHT_SYMBOL_MAX), st.integers(-149, 104)).map(
+GRID = st.tuples(st.integers(-weights.WEIGHT_SYMBOL_MAX, weights.WEIGHT_SYMBOL_MAX), st.integers(-149, 104)).map(
     lambda p: math.ldexp(*p)
 )
 
@@ -46,9 +39,9 @@ def on_grids(rows: list[list[float]]) -> bool:
         if not parts:
             continue
         least = max(-e for _, e in parts)
-        if not WEIGHT_EXPONENT_MIN <= least <= WEIGHT_EXPONENT_MAX:
+        if not weights.WEIGHT_EXPONENT_MIN <= least <= weights.WEIGHT_EXPONENT_MAX:
             return False
-        if max(abs(m) << (e + least) for m, e in parts) > WEIGHT_SYMBOL_MAX:
+        if max(abs(m) << (e + least) for m, e in parts) > weights.WEIGHT_SYMBOL_MAX:
             return False
     return True
 
@@ -67,11 +60,11 @@ def on_grids(rows: list[list[float]]) -> bool:
 def test_grids(spec: dict, values: np.ndarray) -> None:
     """A layer is packed if its rows lie on grids, comes back bit for bit, and is the text's."""
     layer = (np.ascontiguousarray(values[:, :-1]), np.ascontiguousarray(values[:, -1]))
-    grid = to_grid(layer)
+    grid = weights.to_grid(layer)
     assert (grid is not None) == on_grids(values.tolist())
     if grid is None:
         return
-    back = from_grid(grid)
+    back = weights.from_grid(grid)
     assert back is not None
     assert all(same_bits(a, b) for a, b in zip(back, layer, strict=True))
     text = spec["PACKED_LAYER"](grid.exponent, grid.difference.tolist(), grid.weight.tolist(), grid.bias.tolist())
@@ -87,11 +80,11 @@ def test_exponents_that_are_not_the_least(spec: dict, data: st.DataObject) -> No
     shapes = rows, (rows, 2), rows
     difference, weight, bias = (data.draw(hnp.arrays(np.int64, shape, elements=small)) for shape in shapes)
     text = spec["PACKED_LAYER"](exponent, difference.tolist(), weight.tolist(), bias.tolist())
-    grid = type(to_grid((np.zeros((1, 1), np.float32), np.zeros(1, np.float32))))(exponent, difference, weight, bias)
-    layer = from_grid(grid)
+    grid = weights.GridLayer(exponent, difference, weight, bias)
+    layer = weights.from_grid(grid)
     assert (layer is None) == (text is None)
     if layer is not None:
-        again = to_grid(layer)
+        again = weights.to_grid(layer)
         assert again.exponent == exponent
         assert np.array_equal(again.difference, difference)
 
@@ -109,7 +102,7 @@ def test_the_integers_change_no_output() -> None:
             before, after = (IntNetwork([derive_layer(*layer) for layer in n[name]]) for n in (networks, exact))
             inputs = rng.integers(-1023, 1024, (100, layers[0][0].shape[1]))
             assert np.array_equal(before(inputs), after(inputs))
-            assert all(to_grid(layer) is not None for layer in exact[name])
+            assert all(weights.to_grid(layer) is not None for layer in exact[name])
 
 
 @pytest.mark.parametrize("bits", [2, 6, 8, 12])
@@ -121,7 +114,7 @@ def test_rendering_networks_on_a_grid(bits: int) -> None:
             if name not in RENDERING:
                 assert grid_weight is weight
                 continue
-            grid = to_grid((grid_weight, grid_bias))
+            grid = weights.to_grid((grid_weight, grid_bias))
             step = np.abs(weight).max() / ((1 << (bits - 1)) - 0.5)
             assert np.abs(weight - grid_weight).max() <= step
             assert np.abs(bias - grid_bias).max() <= step

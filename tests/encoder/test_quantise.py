@@ -9,16 +9,8 @@ from random_scenes import random_networks
 from conformance.cases.scenes import TINY_DIMENSIONS
 from conformance.manifest import VECTORS
 from refcodec.bitstream import codec
+from refcodec.bitstream import frame as frames
 from refcodec.bitstream.context import contract, frame_coordinates, rescale
-from refcodec.bitstream.frame import (
-    FRAME_RANGE_BOUND,
-    FRAME_SHIFT_MAX,
-    MATRIX_BOUND,
-    TRANSLATION_BOUND,
-    Frame,
-    emit_frame,
-    parse_frame,
-)
 from refcodec.bitstream.header import PositionGrid
 from refcodec.bitstream.limits import TINY
 from refcodec.bitstream.positions import position_integers
@@ -119,17 +111,17 @@ def test_position_past_fp16_is_refused():
         to_fp16(np.full((1, 3), 1e6, np.float32), PositionGrid((0, 0, 0), 32768, -15))
 
 
-def assert_valid(frame: Frame):
+def assert_valid(frame: frames.Frame):
     """The frame keeps SPEC 6.7, and coordinates come out in range."""
-    assert np.abs(frame.matrix).max() < MATRIX_BOUND
-    assert np.abs(frame.translation).max() < TRANSLATION_BOUND
+    assert np.abs(frame.matrix).max() < frames.MATRIX_BOUND
+    assert np.abs(frame.translation).max() < frames.TRANSLATION_BOUND
     assert frame.shift.min() >= 0
-    assert frame.shift.max() <= FRAME_SHIFT_MAX
+    assert frame.shift.max() <= frames.FRAME_SHIFT_MAX
     assert (frame.low < frame.high).all()
-    assert (frame.low >= -FRAME_RANGE_BOUND).all()
-    assert (frame.high <= FRAME_RANGE_BOUND).all()
-    data = emit_frame(frame)
-    assert np.array_equal(parse_frame(Piece(data, 0)).matrix, frame.matrix)
+    assert (frame.low >= -frames.FRAME_RANGE_BOUND).all()
+    assert (frame.high <= frames.FRAME_RANGE_BOUND).all()
+    data = frames.emit_frame(frame)
+    assert np.array_equal(frames.parse_frame(Piece(data, 0)).matrix, frame.matrix)
 
 
 DEGENERATE = {

@@ -23,15 +23,8 @@ from refcodec.bitstream.reconstruction import Reconstruction, digest, reconstruc
 from refcodec.bitstream.reconstruction import gaussians as splat_of
 from refcodec.bitstream.scene import Scene
 from refcodec.cli.main import main
+from refcodec.rendering import gaussians
 from refcodec.rendering.camera import Camera, default_camera
-from refcodec.rendering.gaussians import (
-    Gaussians,
-    RenderModelError,
-    check_view_dependent,
-    gaussians,
-    static_gaussians,
-    static_splats,
-)
 from refcodec.rendering.view import View
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -66,7 +59,7 @@ def by_the_text(spec: dict, scene: Scene, values: Reconstruction, camera: Camera
     return drawn
 
 
-def compared(actual: Gaussians, wanted: list[tuple], tolerance: float) -> None:
+def compared(actual: gaussians.Gaussians, wanted: list[tuple], tolerance: float) -> None:
     """Each vector within a tolerance relative to its length."""
     assert len(actual.opacity) == len(wanted) > 0
     for name, column in (("mean", 0), ("lengths", 1), ("quaternion", 2), ("opacity", 3), ("colour", 4)):
@@ -80,9 +73,9 @@ def compared(actual: Gaussians, wanted: list[tuple], tolerance: float) -> None:
 def test_gaussians_are_those_of_the_text(spec: dict, seed: int) -> None:
     scene, values, camera = scene_of(seed)
     wanted = by_the_text(spec, scene, values, camera)
-    compared(gaussians(values, scene.masks, scene.networks, camera, UNIT, np.float64), wanted, 1e-12)
+    compared(gaussians.gaussians(values, scene.masks, scene.networks, camera, UNIT, np.float64), wanted, 1e-12)
     # In binary32 those whose opacity is next to nothing may come and go.
-    single = gaussians(values, scene.masks, scene.networks, camera, UNIT)
+    single = gaussians.gaussians(values, scene.masks, scene.networks, camera, UNIT)
     assert single.opacity.dtype == np.float32
     assert abs(len(single.opacity) - len(wanted)) <= 1
     if len(single.opacity) == len(wanted):
@@ -91,11 +84,11 @@ def test_gaussians_are_those_of_the_text(spec: dict, seed: int) -> None:
 
 def test_masked_offsets_and_negative_opacities_give_nothing(spec: dict) -> None:
     scene, values, camera = scene_of(9)
-    drawn = gaussians(values, scene.masks, scene.networks, camera, UNIT)
+    drawn = gaussians.gaussians(values, scene.masks, scene.networks, camera, UNIT)
     assert scene.masks[drawn.anchor, drawn.offset].all()
     assert (drawn.opacity > 0).all()
     nothing = replace(scene, masks=np.zeros_like(scene.masks))
-    assert len(gaussians(values, nothing.masks, scene.networks, camera, UNIT).opacity) == 0
+    assert len(gaussians.gaussians(values, nothing.masks, scene.networks, camera, UNIT).opacity) == 0
     assert by_the_text(spec, nothing, values, camera) == []
 
 
@@ -109,7 +102,7 @@ def test_an_anchor_in_the_camera_and_a_quaternion_of_nothing(spec: dict) -> None
     masks = np.ones_like(scene.masks)
     values = replace(values, positions=camera.centre[None].astype(np.float32))
     camera = replace(camera, translation=-camera.rotation @ values.positions[0].astype(np.float64))
-    drawn = gaussians(values, masks, scene.networks, camera, UNIT, np.float64)
+    drawn = gaussians.gaussians(values, masks, scene.networks, camera, UNIT, np.float64)
     assert drawn.quaternion.tolist() == [[1, 0, 0, 0]] * len(drawn.opacity)
     compared(drawn, by_the_text(spec, replace(scene, masks=masks), values, camera), 1e-9)
 
@@ -149,7 +142,7 @@ def test_rotation_is_that_of_the_text(spec: dict, seed: int) -> None:
 # --- images -----------------------------------------------------------------------------------------------------------
 
 
-def drawn_by_the_text(spec: dict, cloud_of: Gaussians, camera: Camera, info: RenderInfo) -> np.ndarray:
+def drawn_by_the_text(spec: dict, cloud_of: gaussians.Gaussians, camera: Camera, info: RenderInfo) -> np.ndarray:
     """An image by PROJECT and PIXEL."""
     stated = {
         "rotation": camera.rotation.tolist(),
@@ -174,11 +167,11 @@ def drawn_by_the_text(spec: dict, cloud_of: Gaussians, camera: Camera, info: Ren
     return np.array([[pixel(j, i) for i in range(camera.width)] for j in range(camera.height)])
 
 
-def cloud(seed: int, count: int, spread: float = 1.0) -> Gaussians:
+def cloud(seed: int, count: int, spread: float = 1.0) -> gaussians.Gaussians:
     """Gaussians of all sizes around a point before a camera at the origin; some behind it, some beside the image."""
     rng = np.random.default_rng(seed)
     quaternion = rng.normal(size=(count, 4))
-    return Gaussians(
+    return gaussians.Gaussians(
         (rng.normal(0, spread, (count, 3)) + np.array([0, 0, 3])).astype(np.float32),
         np.exp(rng.normal(-2, 1.5, (count, 3))).astype(np.float32),
         (quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)).astype(np.float32),
@@ -197,15 +190,15 @@ def rasterise() -> Any:
 VIEW = Camera("view", 37, 21, 30.0, 28.0, 17.0, 11.5, np.eye(3), np.zeros(3))
 
 
-def same_depth(splats: Gaussians) -> None:
+def same_depth(splats: gaussians.Gaussians) -> None:
     splats.mean[:, 2] = 3
 
 
-def opaque(splats: Gaussians) -> None:
+def opaque(splats: gaussians.Gaussians) -> None:
     splats.opacity[:] = 1
 
 
-def not_points(splats: Gaussians) -> None:
+def not_points(splats: gaussians.Gaussians) -> None:
     splats.lengths[:] = np.maximum(splats.lengths, 0.01)
 
 
@@ -321,7 +314,7 @@ def test_hostile_networks_give_gaussians() -> None:
         layers[-1][0][:] *= np.float32(1e20)
     values = replace(values, scalings=values.scalings * np.float32(1e4), positions=values.positions * np.float32(1e30))
     for dtype in (np.float32, np.float64):
-        drawn = gaussians(values, scene.masks, scene.networks, camera, UNIT, dtype)
+        drawn = gaussians.gaussians(values, scene.masks, scene.networks, camera, UNIT, dtype)
         assert (drawn.opacity > 0).all()
 
 
@@ -345,16 +338,16 @@ def test_another_render_model_is_decoded_but_not_drawn(capsys: pytest.CaptureFix
 def test_static_gaussians_are_those_of_the_text(spec: dict, degree: int) -> None:
     """From a camera among the anchors, in both precisions. At the mean itself the direction is zero."""
     scene = parse(static.of_degree(degree)).scene
-    numbers, splats = splat_of(scene), static_splats(scene)
+    numbers, splats = splat_of(scene), gaussians.static_splats(scene)
     _, _, camera = scene_of(3)
     for place in (camera.centre, numbers[0, :3].astype(np.float64)):
         moved = replace(camera, translation=-camera.rotation @ place)
         wanted = [spec["STATIC_GAUSSIAN"](row, list(moved.centre)) for row in numbers.astype(np.float64).tolist()]
-        compared(static_gaussians(splats, scene.masks, moved, np.float64), wanted, 1e-9)
-        compared(static_gaussians(splats, scene.masks, moved), wanted, 1e-4)
+        compared(gaussians.static_gaussians(splats, scene.masks, moved, np.float64), wanted, 1e-9)
+        compared(gaussians.static_gaussians(splats, scene.masks, moved), wanted, 1e-4)
     assert len(View(scene).gaussians(camera).mean) == scene.masks.sum()
 
 
 def test_what_reads_the_view_takes_no_static_scene() -> None:
-    with pytest.raises(RenderModelError, match="must have 0"):
-        check_view_dependent(parse((VECTORS / "valid" / "static-degree-1.c3gs").read_bytes()).scene.render)
+    with pytest.raises(gaussians.RenderModelError, match="must have 0"):
+        gaussians.check_view_dependent(parse((VECTORS / "valid" / "static-degree-1.c3gs").read_bytes()).scene.render)
