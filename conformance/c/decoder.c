@@ -202,20 +202,22 @@ _Noreturn static void FAIL(const char *message)
     exit(STATUS_USAGE);
 }
 
+/* not of the specification */
+#define FAIL_IF(wrong, message) ((wrong) ? FAIL(message) : (void)0)
+
 /* not of the specification: an output is whole */
 static void CLOSE_OUTPUT(struct outgoing *o)
 {
     int wrong = ferror(*o->file) | fclose(*o->file);
     *o->file = NULL;
-    if (wrong || (o->beside && rename(o->beside, o->place)))
-        FAIL("cannot write");
+    FAIL_IF(wrong || (o->beside && rename(o->beside, o->place)), "cannot write");
     free(o->beside);
     o->beside = NULL;
 }
 
 /* not of the specification: says again what earlier checks give, where an access or an operation depends on it. A
    mistake in them is then no undefined behaviour. */
-#define SURE(condition) ((condition) ? (void)0 : FAIL("a check is missing: please report this file"))
+#define SURE(condition) FAIL_IF(!(condition), "a check is missing: please report this file")
 
 /* 10.1, 10.2: the first error ends the decoding */
 _Noreturn static void REFUSE(enum error code, uint64_t offset)
@@ -246,8 +248,7 @@ static void *ALLOCATE(uint64_t count, uint64_t size)
     SURE(i < BLOCKS_MAX);
     if (bytes <= SIZE_MAX)
         blocks[i] = calloc(bytes ? (size_t)bytes : 1, 1);
-    if (!blocks[i])
-        FAIL("out of memory");
+    FAIL_IF(!blocks[i], "out of memory");
     return blocks[i];
 }
 
@@ -291,8 +292,7 @@ static struct piece READ(struct buffer *b, uint64_t n)
         got = fread(b->data + p.length, 1, (size_t)(room - p.length), input);
         p.length += got;
         input_at += got;
-        if (ferror(input))
-            FAIL("cannot read the file");
+        FAIL_IF(ferror(input), "cannot read the file");
         if (p.length == n || !got)
             return p;
     }
@@ -2347,8 +2347,7 @@ static void LOAD_TABLES(const char *program, struct buffer *b)
         memcpy(path + folder, "tables-0.bin", 13);
     }
     input = fopen(tables ? tables : path, "rb");
-    if (!input)
-        FAIL("cannot open the table file");
+    FAIL_IF(!input, "cannot open the table file");
     p = READ(b, TABLES_LENGTH + 1);
     READ_TABLES(p.data, p.length);
     fclose(input);
@@ -2372,8 +2371,7 @@ static char *PLACE(const char *path)
         whole = realpath(length ? folder : ".", NULL);
     free(folder);
     folder = whole;
-    if (!folder || !(whole = malloc(strlen(folder) + strlen(name) + 2)))
-        FAIL("cannot open the output");
+    FAIL_IF(!folder || !(whole = malloc(strlen(folder) + strlen(name) + 2)), "cannot open the output");
     sprintf(whole, "%s/%s", folder, name);
     free(folder);
     return whole;
@@ -2392,8 +2390,7 @@ static void APART(const char *a, const char *b)
     same |= !strcmp(first, second);
     free(first);
     free(second);
-    if (same)
-        FAIL("an output is the input, or another output");
+    FAIL_IF(same, "an output is the input, or another output");
 }
 
 /* not of the specification: opens a file beside the output's place, or what is there if it is no ordinary file */
@@ -2415,8 +2412,7 @@ static void OPEN_OUTPUT(struct outgoing *o, const char *path)
             o->beside = NULL;
         }
     }
-    if (!*o->file)
-        FAIL("cannot open the output");
+    FAIL_IF(!*o->file, "cannot open the output");
 }
 
 /* not of the specification */
@@ -2430,8 +2426,7 @@ int main(int argc, char **argv)
     MAKE_CRC_TABLE();
     LOAD_TABLES(argv[0], &s.section);
     input = fopen(argv[2], "rb");
-    if (!input)
-        FAIL("cannot open the file");
+    FAIL_IF(!input, "cannot open the file");
     for (int i = 3; i < argc; i++)
         for (int j = 2; j < i; j++)
             APART(argv[i], argv[j]);
@@ -2444,14 +2439,12 @@ int main(int argc, char **argv)
         RELEASE_BLOCKS();
         memset(&s, 0, sizeof s);
         input_at = 0;
-        if (fseek(input, 0, SEEK_SET))
-            FAIL("cannot read the file again");
+        FAIL_IF(fseek(input, 0, SEEK_SET), "cannot read the file again");
         OPEN_OUTPUT(&made, argv[3]);
         DECODE_FILE(&s, 0);
         CLOSE_OUTPUT(&made);
     }
     RELEASE();
-    if (fflush(stdout) || ferror(stdout))
-        FAIL("cannot write");
+    FAIL_IF(fflush(stdout) || ferror(stdout), "cannot write");
     return 0;
 }
