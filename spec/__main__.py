@@ -12,18 +12,7 @@ from collections.abc import Callable, Iterator
 
 from conformance.manifest import load
 
-from . import (
-    citations,
-    coverage,
-    example,
-    generated,
-    house,
-    matrix,
-    meanings,
-    proofs,
-    public,
-    tables,
-)
+from . import citations, coverage, example, generated, house, matrix, meanings, proofs, public, tables
 from .made import Made
 
 # The order matters. The worked example needs the tables, SPEC.md contains the example, and the matrix reads SPEC.md.

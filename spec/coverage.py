@@ -29,11 +29,7 @@ from . import elements
 
 LINE, TRUE, FALSE = "is not run", "is never true", "is never false"
 AT, BEYOND = "never just holds", "never just fails"
-KINDS = {
-    "statements": {LINE},
-    "outcomes of conditions": {TRUE, FALSE},
-    "bounds of comparisons": {AT, BEYOND},
-}
+KINDS = {"statements": {LINE}, "outcomes of conditions": {TRUE, FALSE}, "bounds of comparisons": {AT, BEYOND}}
 ANY_FILE = "any file"
 # Functions of images, which no vector has: tests/rendering compares the renderer with them.
 IMAGES = {"ROTATION", "PRODUCT", "PROJECT", "PIXEL"}

@@ -115,10 +115,7 @@ def packed() -> Scene:
     networks["hyper"][-1][1][-3:] = 32
     name, layer = PACKED_LAYER
     # The second row is all zero, and the grid exponent of the third differs from that of the first.
-    networks[name][layer] = (
-        np.array([[0.5, -0.25], [0, 0], [1.5, 3]], np.float32),
-        np.array([1, 0, -0.5], np.float32),
-    )
+    networks[name][layer] = (np.array([[0.5, -0.25], [0, 0], [1.5, 3]], np.float32), np.array([1, 0, -0.5], np.float32))
     forms = [(key, number) == PACKED_LAYER for key, layers in networks.items() for number in range(len(layers))]
     scales = weight_scales(networks)
     scales[~np.array(forms)] = 0

@@ -79,12 +79,7 @@ def away(built: Path, tmp_path_factory: pytest.TempPathFactory) -> Run:
 
     def run(*command: str | Path) -> subprocess.CompletedProcess[str]:
         return subprocess.run(
-            command,
-            cwd=tmp_path_factory.mktemp("empty"),
-            env=variables,
-            capture_output=True,
-            text=True,
-            check=False,
+            command, cwd=tmp_path_factory.mktemp("empty"), env=variables, capture_output=True, text=True, check=False
         )
 
     return run

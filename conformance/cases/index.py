@@ -123,10 +123,7 @@ anchor_count = element(
     lambda d, t, _: d.choice([0, t.fields.chunk_size + 1, 1 << 31, 0xFFFFFFFF]),
 )
 kept_count = element(
-    "index.chunk",
-    "index.entry[{}].kept_count",
-    any_chunk,
-    lambda d, t, chunk: _kept(t, chunk, d.integer(1, 1 << 31)),
+    "index.chunk", "index.entry[{}].kept_count", any_chunk, lambda d, t, chunk: _kept(t, chunk, d.integer(1, 1 << 31))
 )
 
 

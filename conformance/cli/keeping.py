@@ -43,10 +43,7 @@ def _selftest(arguments: argparse.Namespace) -> int:
 def _add_selftest(commands: Any) -> None:
     selftest = commands.add_parser("selftest", help="plant bugs in the blocks of SPEC.md; the vectors must catch each")
     selftest.add_argument(
-        "--manifest",
-        type=Path,
-        default=VECTORS / MANIFEST,
-        help="the suite (default: that of this program)",
+        "--manifest", type=Path, default=VECTORS / MANIFEST, help="the suite (default: that of this program)"
     )
     add_jobs(selftest)
     selftest.add_argument(

@@ -115,12 +115,7 @@ def _blending_weights(view: View, cameras: Sequence[Camera], progress: Progress)
 
 
 def _regression(
-    view: View,
-    cameras: Sequence[Camera],
-    weights: list[F32],
-    seen: NDArray[np.bool_],
-    degree: int,
-    progress: Progress,
+    view: View, cameras: Sequence[Camera], weights: list[F32], seen: NDArray[np.bool_], degree: int, progress: Progress
 ) -> Splats:
     """Returns the visible Gaussians, each fitted by itself. seen: bool [N * K]."""
     count, anchors = view.masks.shape[1], len(view.masks)

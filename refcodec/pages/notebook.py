@@ -28,10 +28,7 @@ class Points:
 
 
 def table(
-    title: str,
-    facts: Iterable[tuple[str, str]],
-    sizes: Mapping[str, int] | None,
-    picture: bytes | Points | None = None,
+    title: str, facts: Iterable[tuple[str, str]], sizes: Mapping[str, int] | None, picture: bytes | Points | None = None
 ) -> str:
     """Returns HTML.
 

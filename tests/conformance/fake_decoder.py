@@ -147,11 +147,7 @@ def serve(answers):
             answer["stderr"] = json.dumps({"code": a["code"], "offset": a["offset"]})
         else:
             output.write_bytes(Path(a["output"]).read_bytes())
-        more = {
-            "signal": {"status": None, "signal": 11},
-            "both": {"signal": 11},
-            "of-another": {"id": q["id"] + 1},
-        }
+        more = {"signal": {"status": None, "signal": 11}, "both": {"signal": 11}, "of-another": {"id": q["id"] + 1}}
         text = json.dumps(answer | more.get(a["mode"], {}))
         match a["mode"]:
             case "deep-folders":

@@ -25,11 +25,7 @@ from refcodec.encoder.weights import pack_weights
 def _scenes() -> dict[str, Scene]:
     """Every section and form, with and without planes and frequencies, several chunks, and more than is known."""
     mixed = random_scene(39, 9, chunk_size=4, lanes=Lanes(0, 1, 0))
-    sections = (
-        Ancillary(b"noTE", 3, b"hello", 0),
-        Ancillary(b"mETa", 0, bytes(4), 2),
-        Ancillary(b"cAMs", 0, b"x", 5),
-    )
+    sections = (Ancillary(b"noTE", 3, b"hello", 0), Ancillary(b"mETa", 0, bytes(4), 2), Ancillary(b"cAMs", 0, b"x", 5))
     return {
         "raw": random_scene(31, 7, chunk_size=3),
         "packed": pack_weights(replace(mixed, position_model=position_model(mixed.positions, 4))),

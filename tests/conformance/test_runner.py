@@ -240,11 +240,7 @@ def test_the_anchor_of_a_divergence_is_named(suite: Suite, tmp_path: Path) -> No
     _, record = suite.report("accepts", tmp_path)
     vector = next(v for v in record["vectors"] if v["status"] == "failed")
     both = ["features: anchor 3 (chunk 0) is 1, 2 expected", "trace: attributes.features[7,2] is 3, 6 expected"]
-    for lines, form in (
-        (both, "--anchor 7"),
-        (["trace: planes.r1[0,0,0] is 1, 0 expected"], "--hex"),
-        ([], "--hex"),
-    ):
+    for lines, form in ((both, "--anchor 7"), (["trace: planes.r1[0,0,0] is 1, 0 expected"], "--hex"), ([], "--hex")):
         record["vectors"] = [{**vector, "divergence": lines}]
         checked = check(record)
         path = os.path.relpath(suite.folder / vector["input"])

@@ -14,11 +14,7 @@ for package in ("numba", "PIL", "scipy"):
 
 from random_scenes import random_scene  # noqa: E402
 
-from refcodec.bitstream.cameras import (  # noqa: E402
-    NamedCamera,
-    cameras,
-    rotation_matrix,
-)
+from refcodec.bitstream.cameras import NamedCamera, cameras, rotation_matrix  # noqa: E402
 from refcodec.bitstream.codec import parse  # noqa: E402
 from refcodec.bitstream.dimensions import RENDERING  # noqa: E402
 from refcodec.export.fit import agreement, fit  # noqa: E402
