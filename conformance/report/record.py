@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
 from msgspec import to_builtins
@@ -24,6 +24,7 @@ from ..runner.run import STATUSES, Options, Result, Run
 from . import diagnosis
 from .schema import Coverage, Decoder, Description, Profile, Record, Runner, Suite, Verdict
 
+T = TypeVar("T")
 # The version of a decoder without a description.
 NOT_STATED = "not stated"
 # The longest texts of a decoder's description and of an error message, in characters.
@@ -49,7 +50,7 @@ def manifest_digest(manifest: Manifest) -> str:
     return hashlib.sha256((manifest.folder / MANIFEST).read_bytes()).hexdigest()
 
 
-def _converted(document: Any, kind: Any) -> Any:
+def _converted(document: Any, kind: type[T]) -> T:
     """Returns a JSON value as a struct. Raises RecordError."""
     try:
         return msgspec.convert(document, kind)
@@ -105,19 +106,11 @@ def _printable(value: Any) -> Any:
 def build(manifest: Manifest, options: Options, about: About, run: Run) -> Record:
     """Returns the record of a run."""
     groups = {v.id: _group(v) for v in manifest.vectors}
+    versions = __version__, platform.python_version(), platform.platform()
     chosen = {name: getattr(options, name) for name in ("jobs", "grade", "slow", "trace", "serve")}
     parts = {
         "suite": Suite(manifest.suite_version, manifest.format_version, manifest_digest(manifest), groups),
-        "runner": Runner(
-            __version__,
-            platform.python_version(),
-            platform.platform(),
-            about.select,
-            about.started,
-            round(about.seconds, 3),
-            run.interrupted,
-            **chosen,
-        ),
+        "runner": Runner(*versions, about.select, about.started, round(about.seconds, 3), run.interrupted, **chosen),
         "decoder": Decoder(about.decoder, options.command, options.gaussians, _files(options.command)),
         **conclusions(groups, run.results, manifest),
         "diagnosis": diagnosis.of_results(run.results),
@@ -192,8 +185,7 @@ def _order(name: str) -> list[tuple[bool, int, str]]:
 
 def check(document: Any) -> Record:
     """Returns the record of a JSON value. Raises RecordError."""
-    record: Record = _converted(document, Record)
-    return record
+    return _converted(document, Record)
 
 
 def load(path: Path) -> Record:

@@ -22,14 +22,8 @@ from .traces import has_any, lines_of
 
 # The clauses that define the values of a part, and the symbols of a trace with their models.
 PART_CLAUSES = {
-    "positions": "9.1, 5.14, 7.12",
-    "masks": "7.6",
-    "planes": "7.3",
-    "features": "9.2, 7.8",
-    "scalings": "9.2, 7.8",
-    "offsets": "9.2, 7.8",
-    "weights": "5.8, 7.13",
-    "splat": "9.4",
+    **{"positions": "9.1, 5.14, 7.12", "masks": "7.6", "planes": "7.3", "weights": "5.8, 7.13", "splat": "9.4"},
+    **dict.fromkeys(("features", "scalings", "offsets"), "9.2, 7.8"),
 }
 SYMBOL_CLAUSES = {
     "weights": "7.13",
@@ -138,16 +132,8 @@ def _compare_part(scene: Scene, part: str, right: bytes, output: bytes, start: i
     flat = int(np.argmax(differ))
     at_index = tuple(int(i) for i in np.unravel_index(flat, a.shape))
     count = f"{int(differ.sum())} of {differ.size} values of the part differ"
-    place = start + flat * a.itemsize
-    return Divergence(
-        part,
-        _element(scene, part, at_index),
-        _shown(a[at_index]),
-        _shown(b[at_index]),
-        place,
-        count,
-        PART_CLAUSES[part],
-    )
+    place, expected, found = start + flat * a.itemsize, _shown(a[at_index]), _shown(b[at_index])
+    return Divergence(part, _element(scene, part, at_index), expected, found, place, count, PART_CLAUSES[part])
 
 
 def _parts(scene: Scene) -> Iterator[tuple[str, int, bytes]]:
@@ -172,9 +158,8 @@ def of_output(data: bytes, output: bytes) -> Divergence | None:
             # Right bytes replace missing ones, so that only present values are compared.
             return _compare_part(scene, part, right, got + right[len(got) :], at)
         if len(got) < len(right):
-            return Divergence(
-                part, "the part", f"{len(right)} bytes", f"{len(got)} bytes", at, f"the output has {len(output)} bytes"
-            )
+            expected, found = (f"{len(each)} bytes" for each in (right, got))
+            return Divergence(part, "the part", expected, found, at, f"the output has {len(output)} bytes")
         end = max(end, at + len(right))
     if len(output) > end:
         return Divergence("end", "the output", f"{end} bytes", f"{len(output)} bytes", end, "what is there is right")
@@ -204,21 +189,18 @@ def _wrong_symbol(rows: list[TraceRow], number: int, line: str | None, end: int)
     """Returns the difference of a wrong line. number: of the symbol. line: None if missing. end: size of the file."""
     count = f"symbol {number} of {len(rows)}"
     if number == len(rows):
-        return Divergence(
-            "trace", "the line after the last symbol", "nothing", printable(str(line), _SHOWN), end, count
-        )
+        after = "the line after the last symbol"
+        return Divergence("trace", after, "nothing", printable(str(line), _SHOWN), end, count)
     row = rows[number]
     # For the same symbol, the values suffice.
     same, value = line is not None and line.startswith(f"{row.path} "), str(row.value)
     symbol = "nothing" if line is None else printable(line.removeprefix(f"{row.path} "), _SHOWN)
     count += f"; the right model is {row.family}, mean {row.mean}, scale {row.scale}"
     clauses = SYMBOL_CLAUSES[row.path.partition("[")[0].split(".")[0]]
-    clauses = (
-        f"{clauses}, and for slices behind the first 7.9" if row.path.startswith("attributes.features") else clauses
-    )
-    return Divergence(
-        "trace", row.path, value if same else f"{row.path} {value}", symbol, row.substream, count, clauses
-    )
+    if row.path.startswith("attributes.features"):
+        clauses += ", and for slices behind the first 7.9"
+    expected = value if same else f"{row.path} {value}"
+    return Divergence("trace", row.path, expected, symbol, row.substream, count, clauses)
 
 
 def annotated(data: bytes, offset: int) -> list[str]:

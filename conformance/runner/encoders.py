@@ -44,25 +44,17 @@ def examine(data: bytes, meant: Meant = Meant()) -> Verdict:
     except spec_decoder.C3GSError as found:
         second = (found.code, found.offset)
     if first != second:
-        return Verdict(
-            False,
-            f"the decoders differ, please report the file: {first} from refcodec, {second} from the second decoder",
-        )
+        text = f"the decoders differ, please report the file: {first} from refcodec, {second} from the second decoder"
+        return Verdict(False, text)
     if error:
         kind = error.kind
-        return Verdict(
-            False,
-            f"{kind.klass}: {kind.code} {kind.name} at byte {error.offset}, clause {kind.clause}: {error}",
-            tuple(dump.hex_lines(data, [error], error.offset)),
-        )
+        text = f"{kind.klass}: {kind.code} {kind.name} at byte {error.offset}, clause {kind.clause}: {error}"
+        return Verdict(False, text, tuple(dump.hex_lines(data, [error], error.offset)))
     again = codec.emit(scene)
     if again != data:
         at = next((i for i, (a, b) in enumerate(zip(data, again, strict=False)) if a != b), min(len(data), len(again)))
-        return Verdict(
-            False,
-            f"not canonical (4.3): refcodec writes other bytes from byte {at} on",
-            tuple(dump.hex_lines(data, near=at)),
-        )
+        text = f"not canonical (4.3): refcodec writes other bytes from byte {at} on"
+        return Verdict(False, text, tuple(dump.hex_lines(data, near=at)))
     warnings = tuple(f"warning: {printable(warning)}" for warning in ancillary.warnings(scene.ancillary))
     differs = None if meant.reconstruction is None else divergence.of_output(data, meant.reconstruction)
     if differs or (meant.digest or first) != first:

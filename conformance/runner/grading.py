@@ -210,12 +210,9 @@ def judge(manifest: Manifest, vector: Vector, answer: Found, output: Path) -> Ju
         assert answer.code is not None
         return Judgement(GRADE_NONE, f"refused with {_describe(answer.code)}; the file is valid")
     if isinstance(vector.expectation, Accepted):
-        right = answer.digest == vector.expectation.digest
-        return (
-            Judgement(GRADE_EXACT, "")
-            if right
-            else Judgement(GRADE_NONE, "the output is not the canonical reconstruction")
-        )
+        if answer.digest != vector.expectation.digest:
+            return Judgement(GRADE_NONE, "the output is not the canonical reconstruction")
+        return Judgement(GRADE_EXACT, "")
     return _judge_gaussians(manifest, vector.expectation, output)
 
 

@@ -135,10 +135,8 @@ def test_errors(place: Path, call: Call, monkeypatch: pytest.MonkeyPatch) -> Non
 @pytest.mark.usefixtures("fake")
 def test_rd(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The options of train are in the experiment's file. A curve is compared with that of a table."""
-    out, given = (
-        tmp_path / "curve",
-        "--background 9,20,30 --holdout 30 --anchors 700 --up=-z --static --set masks.epsilon=0.02",
-    )
+    out = tmp_path / "curve"
+    given = "--background 9,20,30 --holdout 30 --anchors 700 --up=-z --static --set masks.epsilon=0.02"
     command = ["rd", str(PHOTOGRAPHS), "-o", str(out), "--steps", "2", "--size", "40", *given.split(), "--lambdas"]
     assert main([*command, "0.04", "--uncompressed"]) == 0
     assert "| coded | 0.04 | 1 |" in capsys.readouterr().out

@@ -30,10 +30,8 @@ def test_demo(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: p
     plain, coded = (json.loads((out / f"{name}.eval.json").read_text()) for name in ("uncompressed", "coded"))
     assert min(plain["mean"]["psnr"], coded["mean"]["psnr"]) > 10
     assert coded["bytes"] == (out / "scene.c3gs").stat().st_size < plain["bytes"]
-    settings = [
-        json.loads((out / name / "training.json").read_text())["settings"] for name in ("uncompressed", "coded")
-    ]
-    for each in settings:
+    for name in ("uncompressed", "coded"):
+        each = json.loads((out / name / "training.json").read_text())["settings"]
         assert (each["steps"], each["size"], each["holdout"], each["masks"]["epsilon"]) == (20, "40", 30, 0.02)
     # Again: nothing is done twice. After Ctrl-C in the trainings the page has what there is.
     assert main(command) == 0

@@ -135,11 +135,8 @@ def test_a_definition_depends_on_settings_photographs_and_commands() -> None:
         return hash_of(next(cells(read(text))).definition(photographs))
 
     assert first(TEXT, "y") != first(TEXT)
-    for old, new in (
-        ("steps = 5", "steps = 6"),
-        ("size = 40", "size = 41"),
-        ("[[methods]]", "[[methods]]\nstatic = true"),
-    ):
+    changes = {"steps = 5": "steps = 6", "size = 40": "size = 41", "[[methods]]": "[[methods]]\nstatic = true"}
+    for old, new in changes.items():
         assert first(TEXT.replace(old, new, 1)) != first(TEXT)
     assert first(TEXT.replace('"a"', '"c"').replace("[0, 7]", "[0]")) == first(TEXT)
 

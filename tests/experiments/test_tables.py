@@ -14,13 +14,10 @@ LAMBDAS = (0.04, 0.02, 0.01, 0.005)
 
 
 def one(scene: str, method: str, lambda_r: float, seed: int, size: int, psnr: float) -> Row:
-    parts: dict[str, Any] = dict.fromkeys(COLUMNS, 0) | {
-        "attributes": size - 100,
-        "headers": 100,
-        "anchors": size // 10,
-    }
-    figures = {"bytes": size, "psnr": psnr, "ssim": 0.9, "processor_seconds": 60 + seed}
-    return parts | {"scene": scene, "method": method, "lambda_r": lambda_r, "seed": seed} | figures
+    figures: dict[str, Any] = {"bytes": size, "psnr": psnr, "ssim": 0.9, "processor_seconds": 60 + seed}
+    figures |= {"attributes": size - 100, "headers": 100, "anchors": size // 10}
+    name = {"scene": scene, "method": method, "lambda_r": lambda_r, "seed": seed}
+    return dict.fromkeys(COLUMNS, 0) | name | figures
 
 
 def curve(scene: str, method: str, seed: int, factor: float, more: float = 0.0) -> list[Row]:
@@ -61,9 +58,8 @@ def test_bd_rates() -> None:
     rows += curve("s", "less", 0, 0.8) + curve("s", "less", 1, 2 * 0.9)
     rows += [one("s", "u", 0.0, 0, 10**6, 50.0)]
     # Three decibels for twice the bytes.
-    assert compare(curve("s", "a", 0, 1), curve("s", "b", 0, 0.8)).psnr == pytest.approx(
-        3 * math.log2(1 / 0.8), abs=0.01
-    )
+    psnr = compare(curve("s", "a", 0, 1), curve("s", "b", 0, 0.8)).psnr
+    assert psnr == pytest.approx(3 * math.log2(1 / 0.8), abs=0.01)
     text = as_markdown("x", rows, "", "base")
     assert cells(text, "s", "less", "2")[2:6] == ["2", "-15.00 ± 7.07", "0.711 ± 0.360", "0: -20.00, 1: -10.00"]
     assert "| scenes |" not in text

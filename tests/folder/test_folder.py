@@ -118,18 +118,8 @@ def test_ply_layout(scene, made):
     values, n, names = reconstruct(scene), scene.anchor_count, ply.ply_properties(2, 5)
     head = ["ply", "format binary_little_endian 1.0", f"element vertex {n}", *(f"property float {p}" for p in names)]
     offsets, zeros, ones = values.offsets.transpose(0, 2, 1).reshape(n, 6), np.zeros((n, 3)), np.ones((n, 1))
-    columns = [
-        values.positions,
-        zeros,
-        offsets,
-        scene.masks,
-        values.features,
-        zeros[:, :1],
-        values.scalings,
-        ones,
-        zeros,
-    ]
-    table = np.concatenate(columns, axis=1).astype("<f4")
+    columns = [values.positions, zeros, offsets, scene.masks, values.features, zeros[:, :1], values.scalings]
+    table = np.concatenate([*columns, ones, zeros], axis=1).astype("<f4")
     data = "\n".join([*head, "end_header", ""]).encode() + table.tobytes()
     assert (made / "point_cloud.ply").read_bytes() == data
     vertex = PlyData.read(str(made / "point_cloud.ply"))["vertex"]
@@ -364,11 +354,8 @@ def test_header_edits_are_encoded(made, scene):
 @pytest.mark.requirement("E12.1-1", "E12.1-2", "E12.1-3")
 def test_a_changed_folder_keeps_what_is_safe_to_copy(tmp_path):
     """An editor that changes only metadata keeps every section; one that changes the scene keeps safe ones."""
-    unsafe, safe = (
-        Ancillary(b"prIV", 0, b"unsafe", 5),
-        (Ancillary(b"noTe", 0, b"safe", 2), Ancillary(b"prIv", 7, b"", 5)),
-    )
-    scene = replace(random_scene(11, 9), ancillary=(*safe, unsafe))
+    safe = Ancillary(b"noTe", 0, b"safe", 2), Ancillary(b"prIv", 7, b"", 5)
+    scene = replace(random_scene(11, 9), ancillary=(*safe, Ancillary(b"prIV", 0, b"unsafe", 5)))
     folder = tmp_path / "scene"
     write_folder(scene, folder)
     document = json.loads((folder / "scene.json").read_text())

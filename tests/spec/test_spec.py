@@ -370,11 +370,8 @@ def test_the_formulas_of_the_prose(spec: dict) -> None:
     row, centred, *found_at, symbol = formulas("8.5")
     for _ in range(200):
         matrix, p = [integer(1 << 20) for _ in range(9)], [integer(1 << 40) for _ in range(3)]
-        frame = {
-            "matrix": matrix,
-            "translation": [integer(1 << 61) for _ in range(3)],
-            "shift": rng.integers(0, 61, 3).tolist(),
-        }
+        frame = {"matrix": matrix, "translation": [integer(1 << 61) for _ in range(3)]}
+        frame |= {"shift": rng.integers(0, 61, 3).tolist()}
         for c, v in enumerate(called("FRAME_COORDINATES", frame, p)):
             names = {f"A_c{i}": matrix[3 * c + i] for i in range(3)} | dict(zip(("Px", "Py", "Pz"), p, strict=True))
             assert v == value_of(frame_sum, T_c=frame["translation"][c], s_c=frame["shift"][c], **names)
@@ -411,11 +408,8 @@ def test_the_formulas_of_the_prose(spec: dict) -> None:
         k = next((k for k in range(CONSTANTS["RAW_MAX"]) if i - 8 * k < CONSTANTS["SCALE_END"]), CONSTANTS["RAW_MAX"])
         place = [value_of(f, h=value_of(centred, mean=mean, k=k)) for f in found_at]
         assert (value_of(row, i=i, k=k), place[1], place[0], k) == called("SELECT", mean, i)
-        a = {
-            "origin": [integer(1 << 62)] * 3,
-            "scale_mantissa": int(rng.integers(1, 65536)),
-            "scale_exponent": int(rng.integers(-60, 61)),
-        }
+        a = {"origin": [integer(1 << 62)] * 3, "scale_mantissa": int(rng.integers(1, 65536))}
+        a |= {"scale_exponent": int(rng.integers(-60, 61))}
         names = {"origin": a["origin"][0], "S": a["scale_mantissa"], "P": p[0], "E": a["scale_exponent"]}
         assert value_of(formulas("9.1")[0], **names) == called("WORLD", a, 0, p[0])
         base = abs(float(np.float32(rng.normal()) * np.float32(2.0) ** int(rng.integers(-40, 40))))
@@ -455,10 +449,8 @@ def test_the_formulas_of_the_prose(spec: dict) -> None:
     index, masked = formulas("7.6")
     order = [value_of(index, k=k, n=n) for k in range(10) for n in range(k + 1)]
     assert order == list(range(55))
-    for dimensions in (TINY_DIMENSIONS, MAIN_DIMENSIONS):
-        assert (
-            value_of(formulas("6.3")[0], F=dimensions.features, K=dimensions.offset_count) == dimensions.attribute_width
-        )
+    for d in (TINY_DIMENSIONS, MAIN_DIMENSIONS):
+        assert value_of(formulas("6.3")[0], F=d.features, K=d.offset_count) == d.attribute_width
     assert value_of(masked, f=5) == (1 << 14) - 5
     assert value_of(symbol, centre=7, d=-2, k=4, raw=9) == 89
     escaped, rest = formulas("8.7")
@@ -608,14 +600,8 @@ def test_profiles_and_levels(spec: dict) -> None:
 
 def test_networks_table() -> None:
     d = TINY_DIMENSIONS
-    space = {
-        "ch": d.plane_channels,
-        "L": d.frequency_count,
-        "F": d.features,
-        "K": d.offset_count,
-        "D": d.attribute_width,
-    }
-    space |= {**vars(d), "render_width": (d.render_width,)}
+    space = {"ch": d.plane_channels, "L": d.frequency_count, "F": d.features, "K": d.offset_count}
+    space |= {**vars(d), "render_width": (d.render_width,), "D": d.attribute_width}
     shapes = d.network_shapes()
     printed = [r for r in rows(section("5.8")) if len(r) == 5]
     assert [r[0].replace(".i", ".1") for r in printed] == list(shapes)
@@ -778,9 +764,7 @@ def test_the_walk_is_the_file() -> None:
     states = rows(generated("steps"))
     assert all(states[i][4] == states[i - 1][9] for i in range(1, len(states)))
     # The first state stands behind the head of sub-plane 0.
-    at = next(
-        int(start, 16) for start, _, _, element, *_ in rows(generated("elements")) if element == "planes.r1.state"
-    )
+    (at,) = (int(start, 16) for start, _, _, name, *_ in rows(generated("elements")) if name == "planes.r1.state")
     assert int(states[0][4], 16) == int.from_bytes(data[at : at + 4], "little")
 
 
@@ -891,18 +875,8 @@ def test_a_scene_as_text_gives_the_file(name: str) -> None:
     ("path", "right", "wrong", "fault"),
     [
         ("refcodec/folder/read.py", "(SPEC 5.15)", "(SPEC 5.16)", "5.16 is not about this code"),
-        (
-            "refcodec/bitstream/reader.py",
-            "10.1, CHUNKS: yields",
-            "10.1, SECTIONS: yields",
-            "SECTIONS is not about this",
-        ),
-        (
-            "refcodec/bitstream/planes.py",
-            "10.1, SECTIONS",
-            "10.1, step 5",
-            "10.1, step 5: the steps of 10.1 have names",
-        ),
+        ("refcodec/bitstream/reader.py", "10.1, CHUNKS: y", "10.1, SECTIONS: y", "SECTIONS is not about this"),
+        ("refcodec/bitstream/planes.py", "10.1, SECTIONS", "10.1, step 5", "step 5: the steps of 10.1 have names"),
         ("refcodec/bitstream/frame.py", "[R6.7-2]", "[R6.7-9]", "R6.7-9 is not a requirement"),
         ("refcodec/web/container.js", "// 6.1\n", "// 6.91\n", "6.91 is not a clause"),
     ],
