@@ -60,13 +60,9 @@ def large_file(trained: Scene, anchors: int) -> bytes:
     rows = np.arange(anchors) % copy.anchor_count
     starts = range(0, anchors, copy.anchor_count)
     copies = [chunk_ranges(min(copy.anchor_count, anchors - start), CHUNK_SIZE) for start in starts]
-    return emit(
-        replace(
-            take_anchors(copy, rows),
-            chunk_anchors=tuple(len(chunk) for chunks in copies for chunk in chunks),
-            position_model=position_model(copy.positions[: len(rows)], CHUNK_SIZE),
-        )
-    )
+    sizes = tuple(len(chunk) for chunks in copies for chunk in chunks)
+    model = position_model(copy.positions[: len(rows)], CHUNK_SIZE)
+    return emit(replace(take_anchors(copy, rows), chunk_anchors=sizes, position_model=model))
 
 
 def _grown(scene: Scene, anchors: int) -> Scene:

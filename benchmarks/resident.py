@@ -32,14 +32,8 @@ class Usage(NamedTuple):
 
 def usage(command: Sequence[str | os.PathLike[str]], environment: Mapping[str, str] | None = None) -> Usage:
     """Runs a command in the repository's folder. environment: variables to add."""
-    done = subprocess.run(
-        [sys.executable, "-S", "-c", _LAUNCHER, *command],
-        cwd=ROOT,
-        env={**os.environ, **(environment or {})},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
+    launched, variables = [sys.executable, "-S", "-c", _LAUNCHER, *command], {**os.environ, **(environment or {})}
+    done = subprocess.run(launched, cwd=ROOT, env=variables, capture_output=True, text=True, check=True)
     status, seconds, processor, peak = done.stderr.split()[-4:]
     return Usage(int(status), float(seconds), float(processor), int(peak) << 10, done.stdout)
 

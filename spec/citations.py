@@ -178,11 +178,9 @@ def faults(path: str, source: str, *, compare: bool = True) -> Iterator[str]:
             yield f"{path}:{number + 1}: {match[0]}: the steps of 10.1 have names"
         matches = {match.end(): match for match in (*_MARK.finditer(line), *_CITATION.finditer(line))}
         for match in matches.values():
-            own = (
-                words(f"{units[number].replace(match[0], '')} {path.rpartition('/')[2]}")
-                if compare and units[number].strip() != line.strip()
-                else set()
-            )
+            own = set[str]()
+            if compare and units[number].strip() != line.strip():
+                own = words(f"{units[number].replace(match[0], '')} {path.rpartition('/')[2]}")
             if path != "SPEC.md" and _off_subject(match[1], _paragraph(lines, number)):
                 yield f"{path}:{number + 1}: {match[1]} is not about this text"
             clause, items = "", list(_expanded(match[1]))

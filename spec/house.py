@@ -43,11 +43,8 @@ def modules() -> dict[str, Path]:
 
 def room(module: str) -> str:
     """Returns the room of a module. A package's __main__ belongs to its commands."""
-    module = (
-        module.replace(".__main__", ".cli.__main__")
-        if module in ("refcodec.__main__", "conformance.__main__")
-        else module
-    )
+    if module in ("refcodec.__main__", "conformance.__main__"):
+        module = module.replace(".__main__", ".cli.__main__")
     return max((name for name in ROOMS if f"{module}.".startswith(f"{name}.")), key=len)
 
 

@@ -896,15 +896,8 @@ def _shifts(_: Proof, b: dict[str, Any]) -> None:
     b["BYTES"](fresh(0, (1 << 8 * size) - 1, "value"), size)
     stream = {"word_at": 0, "words": [], "state": [], "bad_escape": False, "bad_range": False}
     raw_at = fresh(1, b["SECTION_LENGTH_MAX"], "raw_at")
-    b["END"](
-        stream
-        | {
-            "raw": Many((raw_at + 7) // 8, lambda: fresh(0, 255, "byte")),
-            "raw_at": raw_at,
-            "symbols": [],
-            "symbol_crc": 0,
-        }
-    )
+    raw = Many((raw_at + 7) // 8, lambda: fresh(0, 255, "byte"))
+    b["END"](stream | {"raw": raw, "raw_at": raw_at, "symbols": [], "symbol_crc": 0})
 
 
 LIMITS: dict[tuple[str, str], dict[str, tuple[int, int]]] = {}

@@ -93,13 +93,8 @@ def contained(request: pytest.FixtureRequest) -> Iterator[Run]:
     places = [site, *site.rglob("*")]
     for path in places:
         path.chmod(0o555 if path.is_dir() else 0o444)
-    environment = {
-        "PATH": os.environ["PATH"],
-        "PYTHONPATH": str(site),
-        "HOME": str(site / "home"),
-        "NUMBA_NUM_THREADS": "2",
-        "LC_ALL": "C",
-    }
+    environment = {"PATH": os.environ["PATH"], "PYTHONPATH": str(site), "HOME": str(site / "home")}
+    environment |= {"NUMBA_NUM_THREADS": "2", "LC_ALL": "C"}
 
     def run(*words: str | Path, **more: object) -> subprocess.CompletedProcess[str]:
         command = [*first, sys.executable, "-c", PRELUDE, *map(str, words)]
@@ -170,14 +165,9 @@ def test_a_user_without_a_home_gets_no_folder_of_that_name(tmp_path: Path) -> No
 
 def shell(line: str, cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:
     """A line of sh in which $R is refcodec."""
-    return subprocess.run(
-        ["sh", "-c", line.replace("$R", f"'{sys.executable}' -m refcodec")],
-        cwd=cwd,
-        env={**os.environ, **environment},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    command = ["sh", "-c", line.replace("$R", f"'{sys.executable}' -m refcodec")]
+    variables = {**os.environ, **environment}
+    return subprocess.run(command, cwd=cwd, env=variables, capture_output=True, text=True, check=False)
 
 
 @pytest.mark.parametrize(

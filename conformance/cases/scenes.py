@@ -56,10 +56,8 @@ def scene(name: str, anchors: int = 6, d: Dimensions = TINY_DIMENSIONS, seed: in
     offsets = numbers.centred(3, anchors, d.offset_count, 3).astype(np.int32)
     frame = None
     if d.has_frame:
-        matrix, translation = (
-            numbers.integers(1 - (1 << 20), (1 << 20) - 1, 3, 3),
-            numbers.integers(-(1 << 40), 1 << 40, 3),
-        )
+        matrix = numbers.integers(1 - (1 << 20), (1 << 20) - 1, 3, 3)
+        translation = numbers.integers(-(1 << 40), 1 << 40, 3)
         frame = Frame(matrix, translation, np.array([29, 30, 31]), *BOUNDS)
     drawn = {
         "frame": frame,

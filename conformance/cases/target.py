@@ -196,8 +196,5 @@ class Target:
     def _with_range(self, kind: bytes, start: int, end: int, content: bytes, values: dict[str, Any]) -> bytes:
         """Returns the file with other bytes in a range of a section, and other values. Both ranges are padded."""
         out, section = self.with_values(values, Depth.NOTHING), self.sections[kind]
-        padded, rest = (
-            content + bytes(-len(content) % 4),
-            out[start + pad4(end - start) : section.start + section.length],
-        )
-        return resized(out, kind, out[section.start : start] + padded + rest)
+        rest = out[start + pad4(end - start) : section.start + section.length]
+        return resized(out, kind, out[section.start : start] + content + bytes(-len(content) % 4) + rest)

@@ -86,10 +86,7 @@ def logic(node: ast.AST) -> Iterator[Change]:
 def condition(node: ast.AST) -> Iterator[Change]:
     """A condition becomes its opposite."""
     if isinstance(node, ast.IfExp):
-        yield (
-            "the other case",
-            ast.IfExp(copy.deepcopy(node.test), copy.deepcopy(node.orelse), copy.deepcopy(node.body)),
-        )
+        yield "the other case", ast.IfExp(*map(copy.deepcopy, (node.test, node.orelse, node.body)))
 
 
 def removal(node: ast.AST) -> Iterator[Change]:

@@ -93,20 +93,11 @@ def demanded(case: Case) -> Outcome:
 
 def near_misses(case: Case) -> list[Outcome]:
     """Outcomes that are nearly what a vector demands, and wrong."""
-    right = demanded(case)
-    # A decoder that says the right thing and then crashes, or never ends, has not said it.
-    wrong = [
-        replace(right, kind="crash"),
-        replace(right, kind="hang"),
-        Outcome("accepted"),
-        Outcome("accepted", digests={"whole": "0" * 64}),
-    ]
     code, offset = case.error or (307, 0)
-    return [
-        *wrong,
-        Outcome("rejected", code=code + 1, offset=offset),
-        Outcome("rejected", code=code, offset=offset + 1),
-    ]
+    wrong = [Outcome("accepted"), Outcome("accepted", digests={"whole": "0" * 64})]
+    wrong += [Outcome("rejected", code=c, offset=at) for c, at in ((code + 1, offset), (code, offset + 1))]
+    # A decoder that says the right thing and then crashes, or never ends, has not said it.
+    return wrong + [replace(demanded(case), kind=kind) for kind in ("crash", "hang")]
 
 
 def check_grader(all_cases: Sequence[Case], judge: Grade) -> None:

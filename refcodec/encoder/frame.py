@@ -42,11 +42,8 @@ def choose_frame(positions: NDArray[np.float16]) -> Frame:
                 matrix[r], translation[r], shift[r] = a, round(t), s
                 break
     everything = Frame(matrix, translation, shift, np.full(3, -2 * UNIT), np.full(3, 2 * UNIT))
-    w = contract(
-        frame_coordinates(
-            everything, position_integers(positions[inlier] if len(positions) else np.zeros((1, 3), np.float16))
-        )
-    )
+    places = positions[inlier] if len(positions) else np.zeros((1, 3), np.float16)
+    w = contract(frame_coordinates(everything, position_integers(places)))
     low, high = w.min(axis=0), w.max(axis=0)
     high = np.maximum(high, low + 1)
     return replace(everything, low=low, high=high)

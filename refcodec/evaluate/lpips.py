@@ -60,11 +60,8 @@ class Lpips:
         """
         if min(photograph.shape[:2]) < SIDE_MIN:
             height, width = photograph.shape[:2]
-            raise PhotographError(
-                "LPIPS",
-                f"the images have {width} x {height} pixels, but each side must have at least {SIDE_MIN}",
-                "use a larger --size",
-            )
+            text = f"the images have {width} x {height} pixels, but each side must have at least {SIDE_MIN}"
+            raise PhotographError("LPIPS", text, "use a larger --size")
         both = np.stack([np.clip(np.asarray(made, np.float32), 0, 1), photograph.astype(np.float32) / 255])
         values = torch.from_numpy(both).permute(0, 3, 1, 2)
         return {"lpips": self._distance(2 * values - 1), "lpips_3dgs": self._distance(values)}

@@ -131,11 +131,7 @@ class Demo:
 
     def jobs(self) -> list[list[Job]]:
         """The jobs that train, and those after them: for the uncompressed scene, and for the file."""
-        (plain, scene), file, decoded = (
-            map(self.path, (UNCOMPRESSED, CODED)),
-            self.path("scene.c3gs"),
-            self.path("decoded"),
-        )
+        plain, scene, file, decoded = map(self.path, (UNCOMPRESSED, CODED, "scene.c3gs", "decoded"))
         coding = [
             Step(("encode", str(scene), "-o", str(file)), file, (scene / REPORT_FILE,)),
             Step(("decode", str(file), "-o", str(decoded)), decoded / SCENE_FILE, (file,)),

@@ -161,13 +161,8 @@ class Experiment(_File, kw_only=True):
 
     def settings(self, scene: Scene, method: Method, lambda_r: float, seed: int) -> TrainSettings:
         """All settings of one training run, as its command has them. Raises ExperimentError."""
-        options = {
-            "rate.lambda_r": lambda_r,
-            "steps": self.steps,
-            "size": scene.size,
-            "holdout": scene.holdout,
-            "seed": seed,
-        }
+        options: dict[str, Any] = {"rate.lambda_r": lambda_r, "steps": self.steps, "size": scene.size}
+        options |= {"holdout": scene.holdout, "seed": seed}
         try:
             preset = PRESETS[method.preset]
             base = varied(preset, STATIC_CHANGES) if method.static else preset

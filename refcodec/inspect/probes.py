@@ -66,11 +66,9 @@ def slices(scene: Scene, coding: Coding, at: slice, mean: Int64, scale: Int64) -
     """Yields means and scale indices of each slice, with the outputs of CARM added. mean, scale: outputs of F_h."""
     features, done = scene.attributes.features[at].astype(np.int64), 0
     for i, columns in enumerate(scene.dimensions.slices):
-        change = (
-            coding.model.carm_correction(i, features[:, :done])
-            if i
-            else np.zeros((len(features), 2 * columns), np.int64)
-        )
+        change = np.zeros((len(features), 2 * columns), np.int64)
+        if i:
+            change = coding.model.carm_correction(i, features[:, :done])
         part, what = slice(done, done + columns), f"slice {i}: mean and scale index of each channel"
         yield (
             Quantity(f"slice.{i}.means", what, "7.9", mean[:, part] + change[:, :columns]),

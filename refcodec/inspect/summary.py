@@ -33,6 +33,7 @@ _ANCILLARY_BYTES = 1 << 24
 Verdict = tuple[str, dict[str, str]]
 # Columns of the bar of a section that is the whole file.
 _BAR = 20
+_row = f"{{:<14}} {{:>4}} {{:>4}} {{:>10}} {{:>10}} {{:>7}}  {{:<{_BAR}}} {{:>12}}".format
 
 
 def _plain(value: Any) -> Any:
@@ -183,22 +184,16 @@ def summary(facts: dict[str, Any], name: str) -> Iterator[str]:
     if h:
         yield from _header_lines(facts, h)
     yield ""
-    yield (
-        f"{'section':<14} {'type':>4} {'mode':>4} {'offset':>10} {'bytes':>10} {'share':>7}  {'':<{_BAR}} "
-        f"{'bits/anchor':>12}"
-    )
+    yield _row("section", "type", "mode", "offset", "bytes", "share", "", "bits/anchor")
     for s in facts["sections"]:
         kind, mode = ("" if s["type"] is None else printable(s["type"])), ("" if s["mode"] is None else s["mode"])
         bits = "-" if s["bits_per_anchor"] is None else f"{s['bits_per_anchor']:.2f}"
         bar = "#" * round(_BAR * s["share"])
-        yield (
-            f"{s['name']:<14} {kind:>4} {mode:>4} {s['offset']:>10} {s['bytes']:>10} {s['share']:>7.1%}  {bar:<{_BAR}} "
-            f"{bits:>12}"
-        )
+        yield _row(s["name"], kind, mode, s["offset"], s["bytes"], f"{s['share']:.1%}", bar, bits)
         if kind == DATA.decode():
             yield from _data_lines(facts, h["anchor_count"])
     whole_bits = f"{8 * facts['bytes'] / h['anchor_count']:.2f}" if h and h["anchor_count"] else "-"
-    yield f"{'whole':<14} {'':>4} {'':>4} {'':>10} {facts['bytes']:>10} {1:>7.1%}  {'':<{_BAR}} {whole_bits:>12}"
+    yield _row("whole", "", "", "", facts["bytes"], f"{1:.1%}", "", whole_bits)
     yield ""
     yield from _chunk_lines(facts)
     if facts["accepted"]:
@@ -216,11 +211,9 @@ def _header_lines(facts: dict[str, Any], h: dict[str, Any]) -> Iterator[str]:
         return "-".join(map(str, values)) or "none"
 
     yield f"profile      {facts['profile'] or 'unknown'} ({h['profile']}), level {h['level']}"
-    kept = (
-        f", {facts['kept_offsets']} of {h['anchor_count'] * d['offset_count']} offsets kept"
-        if "kept_offsets" in facts
-        else ""
-    )
+    kept = ""
+    if "kept_offsets" in facts:
+        kept = f", {facts['kept_offsets']} of {h['anchor_count'] * d['offset_count']} offsets kept"
     yield f"anchors      {h['anchor_count']}, {d['offset_count']} offsets each{kept}"
     yield f"features     {sum(d['slice_width'])} in slices {widths(d['slice_width'])}"
     size = f"{d['plane_channels']} x {d['plane_size']} x {d['plane_size']}"
@@ -231,14 +224,10 @@ def _header_lines(facts: dict[str, Any], h: dict[str, Any]) -> Iterator[str]:
     if model := h["render_info"]["render_model"]:
         degree = math.isqrt(d["colour_outputs"] // 3) - 1
         yield f"render model {model}" + (f", static, harmonics of degree {degree}" if model == STATIC else "")
-    yield "lanes        " + ", ".join(
-        f"{part}s {1 << h[f'{part}_lanes_log2']}" for part in ("plane", "mask", "attribute")
-    )
-    steps = ", ".join(
-        f"{kind} {np.float32(float(step))!s}"
-        for kind, step in zip(("features", "scalings", "offsets"), h["base_step"], strict=True)
-    )
-    yield f"base steps   {steps}"
+    lanes = (f"{part}s {1 << h[f'{part}_lanes_log2']}" for part in ("plane", "mask", "attribute"))
+    yield f"lanes        {', '.join(lanes)}"
+    steps = zip(("features", "scalings", "offsets"), h["base_step"], strict=True)
+    yield f"base steps   {', '.join(f'{kind} {np.float32(float(step))!s}' for kind, step in steps)}"
 
     for entry in TYPES.values():
         for label, text in entry.lines(facts[entry.name], printable):
@@ -251,7 +240,7 @@ def _data_lines(facts: dict[str, Any], anchors: int) -> Iterator[str]:
         size = facts["parts"][name]
         share = size / max(1, facts["bytes"])
         bits = f"{8 * size / anchors:.2f}" if anchors else "-"
-        yield f"  {name:<12} {'':>4} {'':>4} {'':>10} {size:>10} {share:>7.1%}  {'':<{_BAR}} {bits:>12}"
+        yield _row(f"  {name}", "", "", "", size, f"{share:.1%}", "", bits)
 
 
 def _chunk_lines(facts: dict[str, Any]) -> Iterator[str]:

@@ -190,11 +190,8 @@ def rasterise_backward(
     """
     tape, shape = rendering.tape, rendering.transmittance.shape
     grad_image = np.ascontiguousarray(grad_image, dtype=np.float32)
-    grad_transmittance = (
-        np.zeros(shape, np.float32)
-        if grad_transmittance is None
-        else np.ascontiguousarray(grad_transmittance, np.float32)
-    )
+    given = np.zeros(shape, np.float32) if grad_transmittance is None else grad_transmittance
+    grad_transmittance = np.ascontiguousarray(given, np.float32)
     if grad_image.shape != (*shape, 3) or grad_transmittance.shape != shape:
         raise ValueError(
             f"gradients of shapes {grad_image.shape} and {grad_transmittance.shape} for an image of {shape}"

@@ -52,13 +52,9 @@ def test_any_values(spec: dict[str, Any]) -> None:
     masks = rng.random((count, d.offset_count)) < 0.7
     networks = splat.derive_rendering(scene.networks)
     floats = splat.splat(networks, *vars(values).values(), masks).view(np.uint32)
-    rows = {
-        name: [
-            list(zip(layer.weight.tolist(), layer.bias.tolist(), layer.exponent.tolist(), strict=True))
-            for layer in network.layers
-        ]
-        for name, network in networks.items()
-    }
+    rows: dict[str, list[Any]] = {name: [] for name in networks}
+    for name, layer in ((name, layer) for name, network in networks.items() for layer in network.layers):
+        rows[name].append([*zip(layer.weight.tolist(), layer.bias.tolist(), layer.exponent.tolist(), strict=True)])
     wanted: list[int] = []
     for n in range(count):
         bits = [getattr(values, kind)[n].reshape(-1).view(np.uint32).tolist() for kind in vars(values)]

@@ -40,12 +40,8 @@ def _scenes() -> dict[str, Scene]:
 SCENES = _scenes()
 FILES = {name: codec.emit(scene) for name, scene in SCENES.items()}
 # A scene of a later render model (SPEC 6.5), which decoders decode and renderers do not draw.
-UNDRAWN = random_scene(
-    37,
-    5,
-    replace(TINY_DIMENSIONS, view_inputs=8, colour_outputs=27),
-    render=RenderInfo(colour_primaries=9, transfer_characteristics=16, render_model=7),
-)
+LATER = RenderInfo(colour_primaries=9, transfer_characteristics=16, render_model=7)
+UNDRAWN = random_scene(37, 5, replace(TINY_DIMENSIONS, view_inputs=8, colour_outputs=27), render=LATER)
 
 
 def largest_planes() -> Scene:

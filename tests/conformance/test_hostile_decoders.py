@@ -186,13 +186,9 @@ def test_an_interrupted_run(tmp_path: Path, number: signal.Signals, serve: list[
     decoder += [] if serve else ["{input}", "{output}"]
     words = ["run", "--vectors", str(suite.folder), "--jobs", "1", "--slow", "100", "--report", str(tmp_path)]
     mark = str(uuid.uuid4().int)
-    program = subprocess.Popen(
-        [sys.executable, "-c", PROGRAM, *words, *serve, "--", *decoder],
-        cwd=ROOT,
-        env={**os.environ, "C3GS_TEST_MARK": mark, "TMPDIR": str(tmp_path / "temporary")},
-        stdout=subprocess.PIPE,
-        text=True,
-    )
+    command = [sys.executable, "-c", PROGRAM, *words, *serve, "--", *decoder]
+    variables = {**os.environ, "C3GS_TEST_MARK": mark, "TMPDIR": str(tmp_path / "temporary")}
+    program = subprocess.Popen(command, cwd=ROOT, env=variables, stdout=subprocess.PIPE, text=True)
     end = time.monotonic() + 60
     while len(processes(mark)) < 3:
         assert time.monotonic() < end

@@ -124,10 +124,8 @@ def test_operator_on_statements() -> None:
     assert not list(operators.removal(ast.parse("'a docstring'").body[0]))
 
 
-VERSION, CRC = (
-    'REQUIRE(U(data, 8, 2) == MAJOR, "prologue.version", 8)',
-    'REQUIRE(U(data, 16, 4) == CRC32(data[:16]), "prologue.crc", 16)',
-)
+VERSION = 'REQUIRE(U(data, 8, 2) == MAJOR, "prologue.version", 8)'
+CRC = 'REQUIRE(U(data, 16, 4) == CRC32(data[:16]), "prologue.crc", 16)'
 LENGTH = "HEADER_LENGTH_MIN <= length <= HEADER_LENGTH_MAX"
 ITEMS = '("reserved", "grid_reserved", "render_reserved", "dimensions_reserved")'
 

@@ -41,10 +41,8 @@ def by_vector(record: dict[str, Any]) -> dict[str, str]:
     return {v["id"]: v["status"] for v in record["vectors"]}
 
 
-GOOD, BAD = (
-    ("valid-plain", "valid-extended"),
-    ("malformed-crc", "invalid-up-axis", "unsupported-profile", "resource-anchors"),
-)
+GOOD = "valid-plain", "valid-extended"
+BAD = "malformed-crc", "invalid-up-axis", "unsupported-profile", "resource-anchors"
 
 
 def test_the_files_are_what_they_are_called(suite: Suite) -> None:
@@ -348,10 +346,8 @@ def test_a_decoder_that_cannot_be_killed_is_left(monkeypatch: pytest.MonkeyPatch
 def test_check_encoder(
     suite: Suite, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    good, bad = (
-        [str(suite.folder / "valid" / f"{n}.c3gs") for n in ("plain", "extended")],
-        str(suite.folder / "invalid" / "up-axis.c3gs"),
-    )
+    good = [str(suite.folder / "valid" / f"{n}.c3gs") for n in ("plain", "extended")]
+    bad = str(suite.folder / "invalid" / "up-axis.c3gs")
     assert cli.main(["check-encoder", *good]) == statuses.DONE
     assert cli.main(["check-encoder", *good, bad]) == statuses.REJECTED
     assert "214 header.render_info" in capsys.readouterr().out

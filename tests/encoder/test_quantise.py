@@ -88,10 +88,8 @@ def test_a_sky_sets_no_grid(voxel):
     bulk = np.random.default_rng(2).integers(-900, 900, (500, 3)) * 2.0**-10 + 3
     positions = np.concatenate([bulk, [[40.0, 0.0, 3.0], [40.0, 9.0, 3.0]]]).astype(np.float32)
     grid = choose_grid(positions, voxel)
-    unit, origin = (
-        grid.scale_mantissa * 2.0**grid.scale_exponent,
-        np.array(grid.origin) * 2.0 ** (grid.scale_exponent - 24),
-    )
+    unit = grid.scale_mantissa * 2.0**grid.scale_exponent
+    origin = np.array(grid.origin) * 2.0 ** (grid.scale_exponent - 24)
     world = to_fp16(positions, grid).astype(np.float64) * unit + origin
     error = np.abs(world - positions).max(axis=1)
     assert error[:-2].max() <= (0 if voxel else 2.0**-10)

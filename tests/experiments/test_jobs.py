@@ -23,15 +23,12 @@ def chain(folder: Path, name: str = "a", lambda_r: str = "0.01") -> Job:
     scene, file = folder / f"{name}-scene", folder / f"{name}.c3gs"
     made = scene / "training.json"
     words = ("train", "photographs", "-o", str(scene), "--lambda", lambda_r, "--steps", str(STEPS))
-    return Job(
-        name,
-        folder / f"{name}.json",
-        (
-            Step(words, made, state=folder / f"{name}-scene.train-state", free=("--threads", "1")),
-            Step(("encode", str(scene), "-o", str(file)), file, (made,)),
-            Step(("eval", str(file), "photographs"), folder / f"{name}.eval.json", (file,), printed=True),
-        ),
+    steps = (
+        Step(words, made, state=folder / f"{name}-scene.train-state", free=("--threads", "1")),
+        Step(("encode", str(scene), "-o", str(file)), file, (made,)),
+        Step(("eval", str(file), "photographs"), folder / f"{name}.eval.json", (file,), printed=True),
     )
+    return Job(name, folder / f"{name}.json", steps)
 
 
 def outputs(job: Job) -> list[bytes]:

@@ -84,14 +84,10 @@ def dense(
     p, q, s, opacity, colour = p[order], *(values[k][order] for k in NAMES[1:])
     x, y, z = p.unbind(-1)
     w, i, j, k = (q / q.norm(dim=-1, keepdim=True)).unbind(-1)
-    r = torch.stack(
-        [
-            *(1 - 2 * (j * j + k * k), 2 * (i * j - w * k), 2 * (i * k + w * j)),
-            *(2 * (i * j + w * k), 1 - 2 * (i * i + k * k), 2 * (j * k - w * i)),
-            *(2 * (i * k - w * j), 2 * (j * k + w * i), 1 - 2 * (i * i + j * j)),
-        ],
-        -1,
-    ).reshape(-1, 3, 3)
+    first = (1 - 2 * (j * j + k * k), 2 * (i * j - w * k), 2 * (i * k + w * j))
+    second = (2 * (i * j + w * k), 1 - 2 * (i * i + k * k), 2 * (j * k - w * i))
+    third = (2 * (i * k - w * j), 2 * (j * k + w * i), 1 - 2 * (i * i + j * j))
+    r = torch.stack([*first, *second, *third], -1).reshape(-1, 3, 3)
     covariance = world @ r @ torch.diag_embed(s * s) @ r.transpose(1, 2) @ world.T
     margin_x, margin_y = 0.15 * view.width / view.fx, 0.15 * view.height / view.fy
     slope_x = (x / z).clamp(-view.cx / view.fx - margin_x, (view.width - view.cx) / view.fx + margin_x)

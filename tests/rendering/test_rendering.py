@@ -144,13 +144,9 @@ def test_rotation_is_that_of_the_text(spec: dict, seed: int) -> None:
 
 def drawn_by_the_text(spec: dict, cloud_of: gaussians.Gaussians, camera: Camera, info: RenderInfo) -> np.ndarray:
     """An image by PROJECT and PIXEL."""
-    stated = {
-        "rotation": camera.rotation.tolist(),
-        "translation": camera.translation.tolist(),
-        "focal": (camera.fx, camera.fy),
-        "principal_point": (camera.cx, camera.cy),
-        "size": (camera.width, camera.height),
-    }
+    stated = {"rotation": camera.rotation.tolist(), "translation": camera.translation.tolist()}
+    stated |= {"focal": (camera.fx, camera.fy), "principal_point": (camera.cx, camera.cy)}
+    stated |= {"size": (camera.width, camera.height)}
     drawn = []
     for n in range(len(cloud_of.opacity)):
         shape = (getattr(cloud_of, name)[n].astype(np.float64).tolist() for name in ("mean", "lengths", "quaternion"))

@@ -3,6 +3,7 @@
 import contextlib
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from msgspec import structs
@@ -92,18 +93,15 @@ def test_extremes_of_elements(tmp_path: Path) -> None:
     own = elements.of_vectors(manifest)[name]
     assert (own.least, own.greatest) == (row.value, row.value)
     assert own.ends()[1] is None
+
+    def kept(path: str, **more: Any) -> Any:
+        return structs.replace(EXAMPLE, input=structs.replace(EXAMPLE.input, path=path), **more)
+
     for change, offset, proof in ((1, row.start, "refused"), (2, row.start, None), (1, row.start + 1, None)):
         (tmp_path / "refused.c3gs").write_bytes(_with_value(path, change))
         (tmp_path / "example.c3gs").write_bytes(DATA)
-        vectors = (
-            structs.replace(EXAMPLE, input=structs.replace(EXAMPLE.input, path="example.c3gs")),
-            structs.replace(
-                EXAMPLE,
-                id="refused",
-                input=structs.replace(EXAMPLE.input, path="refused.c3gs"),
-                expectation=Rejected(214, "header.render_info", offset, "6.5"),
-            ),
-        )
+        refusal = Rejected(214, "header.render_info", offset, "6.5")
+        vectors = kept("example.c3gs"), kept("refused.c3gs", id="refused", expectation=refusal)
         ranges = elements.of_vectors(replace(manifest, vectors=vectors, folder=tmp_path))
         assert ranges[name].ends()[1] == proof
     lines, holes = elements.report(SPEC.read_text(encoding="utf-8"), manifest)

@@ -64,10 +64,8 @@ def keys(kind: str) -> dict[str, str]:
 
 def test_every_table_and_field_is_described() -> None:
     """c3gs.ksy has a type for each table, with the types and the meanings of its fields."""
-    text, meanings = (
-        (ROOT / "spec" / "c3gs.ksy").read_text(encoding="utf-8"),
-        specification.fields(specification.text()),
-    )
+    text = (ROOT / "spec" / "c3gs.ksy").read_text(encoding="utf-8")
+    meanings = specification.fields(specification.text())
     types = set(re.findall(r"^  (\w+):$", text, re.MULTILINE))
     for name, fields in SYNTAX.items():
         body = re.search(rf"^  {snake(name)}:\n((?:    .*\n)+)", text, re.MULTILINE)

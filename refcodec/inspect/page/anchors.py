@@ -82,10 +82,6 @@ def _spread(counts: NDArray[np.int64]) -> Plot:
     values = np.diff(np.concatenate([[0], np.cumsum(counts)])[np.minimum(ends, BITS_MAX + 1)])
     left = int(counts.sum() - values.sum())
     more = f"; {left:,} anchors are outside" if left else ""
-    return bars(
-        "Number of anchors by bits",
-        values.tolist(),
-        [f"{end:,}" for end in ends[:-1].tolist()],
-        f"bits of the attributes of an anchor; each bar spans {wide}{more}",
-        "anchors",
-    )
+    marks = [f"{end:,}" for end in ends[:-1].tolist()]
+    words = f"bits of the attributes of an anchor; each bar spans {wide}{more}"
+    return bars("Number of anchors by bits", values.tolist(), marks, words, "anchors")
