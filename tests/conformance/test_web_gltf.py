@@ -94,7 +94,7 @@ def test_other_files_are_refused(files: Path, tmp_path: Path, capsys: pytest.Cap
     for source, output, reason in (
         (other, "a.glb", "depend on the view"),
         (str(files / "plain.glb"), "a.c3gs", "0 scenes with"),
-        (str(tmp_path / "short.glb"), "a.c3gs", "truncated"),
+        (str(tmp_path / "short.glb"), "a.c3gs", "it is cut"),
         (str(files / "c3gs.glb"), "a.ply", "must be one .c3gs file"),
     ):
         assert main(["export", source, "-o", str(tmp_path / output), "--glb", "c3gs"]) == 64
