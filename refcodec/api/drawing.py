@@ -85,7 +85,7 @@ def render(
     from ..folder.places import progress_bar
     from ..rendering.camera import OWN
     from ..rendering.images import ORBIT, ImageFolder
-    from ..rendering.view import View, eight_bits, orbit_name, own_camera
+    from ..rendering.view import View, eight_bits, foreign_colours, orbit_name, own_camera
     from .shown import Shown, note_compiling
 
     note_compiling()
@@ -106,6 +106,7 @@ def render(
     images = ImageFolder(Path(output), names, orbit, inputs)
     shown.remark(*notes)
     view = View(shown.scene)
+    shown.remark(*foreign_colours(view.info))
     chosen = chosen or (view.orbit(frames) if orbit else [own_camera(view.camera)])
     drawn = []
     with images, progress_bar(words) as show, refusing(f"{shown.name} cannot be drawn"):

@@ -87,7 +87,7 @@ def agreement(view: View, splats: Splats, cameras: Sequence[Camera], progress: P
     settings, decibels = viewed(view.info), []
     for number, camera in enumerate(cameras):
         progress("measure", number, len(cameras))
-        right, image = view.draw(camera), draw(splats, camera, settings).image
+        right, image = view.blended(camera), draw(splats, camera, settings).image
         error = np.mean((np.clip(right, 0, 1).astype(np.float64) - np.clip(image, 0, 1)) ** 2)
         decibels.append(-10 * math.log10(error) if error else math.inf)
     progress("measure", len(cameras), len(cameras))

@@ -36,6 +36,8 @@ DISTANCE = 2.2
 FRAME_RATE = 15
 # The program name in images.
 MARK = "refcodec"
+# SPEC 6.5, code points of ITU-T H.273: transfer characteristics.
+LINEAR, SRGB = 8, 13
 
 
 def spiral(count: int, lowest: float, highest: float) -> tuple[F64, F64]:
@@ -81,7 +83,15 @@ class View:
         return gaussians(self.values, self.masks, self.networks, camera, self.info.distance_unit)
 
     def draw(self, camera: Camera) -> F32:
-        """Returns the image of a camera, float32 [height, width, 3], 1 for white. Raises ValueError as rasterise."""
+        """Returns the image of a camera as it is displayed: sRGB, float32 [height, width, 3], 1 for white.
+
+        Raises ValueError as rasterise.
+        """
+        blended = self.blended(camera)
+        return encoded(blended) if self.info.transfer_characteristics == LINEAR else blended
+
+    def blended(self, camera: Camera) -> F32:
+        """SPEC 14.5: returns the image of a camera before any conversion. As draw."""
         check_camera(camera)
         return image(self.gaussians(camera), camera, self.info)
 
@@ -139,6 +149,21 @@ def own_camera(stated: NamedCamera) -> Camera:
     if longer <= SIDE_MAX:
         return camera
     return camera.resized(max(camera.width * SIDE_MAX // longer, 1), max(camera.height * SIDE_MAX // longer, 1))
+
+
+# SPEC [G6.5-2]
+def encoded(linear: F32) -> F32:
+    """Returns the sRGB values, 0 to 1, of an image of linear light, float32 [height, width, 3]."""
+    c = np.clip(linear, 0, 1)
+    return np.where(c <= 0.0031308, 12.92 * c, 1.055 * c ** np.float32(1 / 2.4) - 0.055).astype(np.float32)
+
+
+def foreign_colours(info: RenderInfo) -> list[str]:
+    """SPEC 6.5: returns a remark on colours that are drawn as if they were those of sRGB, or none."""
+    codes = info.colour_primaries, info.transfer_characteristics
+    if codes[0] in (1, 2) and codes[1] in (2, LINEAR, SRGB):
+        return []
+    return [f"its colours have the codes {codes[0]} and {codes[1]} of ITU-T H.273, and are drawn as those of sRGB"]
 
 
 def eight_bits(image: F32) -> U8:

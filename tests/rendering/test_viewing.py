@@ -16,6 +16,7 @@ for package in ("numba", "PIL", "skimage", "scipy"):
 
 from PIL import Image  # noqa: E402
 from random_scenes import random_scene  # noqa: E402
+from skimage.color.colorconv import xyz2rgb, xyz_from_rgb  # noqa: E402
 
 import refcodec  # noqa: E402
 from refcodec.bitstream import codec  # noqa: E402
@@ -50,6 +51,22 @@ def test_an_orbit_looks_at_the_middle(up_axis: int) -> None:
         assert above[0] == pytest.approx(0, abs=1e-9 * z)
         distances.append(z)
     assert np.allclose(distances, distances[0])
+
+
+@pytest.mark.requirement("G6.5-2")
+@pytest.mark.parametrize(("codes", "reported"), [((1, 8), False), ((2, 2), False), ((9, 16), True)])
+def test_pictures_are_of_the_display(codes: tuple[int, int], reported: bool, tmp_path: Path, capsys: Any) -> None:
+    """SPEC [G6.5-2]: linear light is encoded before eight bits. Other colours are drawn as sRGB, which is said."""
+    scene = random_scene(73, 40)
+    render = replace(scene.render, colour_primaries=codes[0], transfer_characteristics=codes[1])
+    (tmp_path / "a.c3gs").write_bytes(codec.emit(replace(scene, render=render)))
+    assert main(["render", str(tmp_path / "a.c3gs"), "-o", str(tmp_path / "out")]) == 0
+    assert (f"the codes {codes[0]} and {codes[1]}" in capsys.readouterr().err) is reported
+    view = View(scene)
+    plain = np.clip(view.draw(own_camera(view.camera)), 0, 1)
+    expected = xyz2rgb(plain @ xyz_from_rgb.T) if codes[1] == 8 else plain
+    drawn = np.asarray(Image.open(tmp_path / "out" / "default.png"))
+    assert np.abs(drawn / 255 - expected).max() < 0.6 / 255
 
 
 def test_an_orbit_around_nothing() -> None:

@@ -306,6 +306,7 @@ def test_small_files(name: str, anchors: int, browser: Chromium, tmp_path: Path)
     assert browser.run("c3gs.header.anchor_count") == anchors
 
 
+@pytest.mark.requirement("G6.5-2")
 @pytest.mark.parametrize(("transfer", "shown"), [(13, [128, 64, 255]), (8, [188, 137, 255]), (99, [128, 64, 255])])
 def test_linear_light_is_encoded(transfer: int, shown: list[int], browser: Chromium, tmp_path: Path) -> None:
     """SPEC 6.5: transfer characteristics 8 are linear light. Others are shown as those of sRGB."""
