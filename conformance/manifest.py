@@ -109,7 +109,7 @@ class Vector(Strict, frozen=True, rename={"klass": "class"}):
     operation: Operation
     klass: Class
     profile: Literal["tiny", "main"] | None
-    level: Annotated[int, Meta(ge=0, le=5)] | None
+    level: Annotated[int, Meta(ge=0, le=255)] | None
     features: Annotated[tuple[Name, ...], Meta(min_length=1)]
     requirements: Annotated[tuple[Requirement, ...], Meta(min_length=1)]
     flags: tuple[Name, ...]

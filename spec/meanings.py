@@ -17,6 +17,7 @@ from refcodec.inspect.specification import own_clauses, own_requirements, text, 
 EXCEPTIONS = {
     "R6.1-1": "no byte that is there violates it; the signature, which may be cut, names it",
     "G6.5-1": "it is about render_model",
+    "G6.5-2": "it is about the codes of colours",
     "D7.5.2-1": "the contraction reads no element",
     "D9.3-1": "a digest is of all elements",
 }

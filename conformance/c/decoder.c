@@ -87,6 +87,7 @@ enum {
     SLICES_MAX = 16,
     SLICE_WIDTH_MAX = 64,
     COLOURS_MAX = 48,
+    ALPHA_LIMIT = 0x3F7D70A4,
     /* A, 5 */
     TABLES_LENGTH = 99840,
     PROLOGUE_LENGTH = 20,
@@ -662,8 +663,8 @@ struct header {
     uint32_t plane_size;
     uint16_t render_width;
     struct list hyper_width, sarm_width, carm_width, slice_width;
-    uint8_t *drawn; /* 9.3: the bytes of RenderInfo and of Dimensions */
-    uint64_t drawn_length;
+    uint8_t *drawn; /* 9.3: the bytes of RenderInfo and of Dimensions; the digest of later fields, if there are any */
+    uint64_t drawn_length, later; /* of drawn, and of the fields of a later version */
     struct entry directory[SECTIONS_MAX];
     uint32_t features, channels; /* F and D of 6.3 */
 };
@@ -759,8 +760,16 @@ static void HEADER_FIELDS(struct header *h, struct buffer *b)
     REFUSE_IF(*FIELD(AT_GRID_RESERVED), HEADER_RESERVED, AT_GRID_RESERVED);
     REFUSE_IF(*FIELD(AT_RENDER_RESERVED), HEADER_RESERVED, AT_RENDER_RESERVED);
     REFUSE_IF(*FIELD(AT_DIMENSIONS_RESERVED), HEADER_RESERVED, AT_DIMENSIONS_RESERVED);
-    h->drawn = ALLOCATE(h->drawn_length, 1);
+    h->later = p.at + p.length - 4 - at;
+    h->drawn = ALLOCATE(h->drawn_length + 32, 1);
     memcpy(h->drawn, p.data + (AT_RENDER_INFO - p.at), (size_t)h->drawn_length);
+    if (h->later) {
+        struct sha256 later;
+        SHA_START(&later);
+        SHA_ADD(&later, p.data + (at - p.at), h->later);
+        SHA_END(&later, h->drawn + h->drawn_length);
+        h->drawn_length += 32;
+    }
     SURE(h->section_count <= SECTIONS_MAX);
     for (uint32_t i = 0; i < h->section_count; i++) {
         struct entry *e = &h->directory[i];
@@ -926,7 +935,7 @@ static void RENDER_INFO(const struct header *h)
         REFUSE_IF(!IS_FINITE(h->render[i]), HEADER_RENDER_INFO, AT_RENDER_NUMBERS + 4 * i);
     }
     for (uint32_t i = 0; i < 4; i++) /* only alpha_max is bounded above, and only low_pass may be 0 */
-        if (!(i == 3 ? x[i] >= 0 : x[i] > 0) || (i == 2 && x[i] > 1))
+        if (!(i == 3 ? x[i] >= 0 : x[i] > 0) || (i == 2 && h->render[i] > ALPHA_LIMIT))
             REFUSE(HEADER_RENDER_INFO, AT_RENDER_NUMBERS + 4 * i);
 }
 
@@ -950,17 +959,18 @@ static void HEADER(struct header *h, struct network *networks)
                    {4194304, 256, UINT64_C(1) << 38},
                    {16777216, 512, UINT64_C(1) << 41},
                    {67108864, 1024, UINT64_C(1) << 43}};
-    uint32_t lowest = h->profile ? 1 : 0;
+    /* 11.2: the numbers of Main are multiples of ten */
+    uint32_t lowest = h->profile ? 1 : 0, level = h->level / 10;
     struct bounds most;
     uint64_t work;
     REFUSE_IF(h->profile > 1, HEADER_PROFILE, AT_PROFILE);
-    REFUSE_IF(h->level < lowest || h->level > 5 * lowest, HEADER_LEVEL, AT_LEVEL);
+    REFUSE_IF(h->level % 10 || level < lowest || level > 5 * lowest, HEADER_LEVEL, AT_LEVEL);
     DIMENSIONS(h, table[h->profile]);
-    REFUSE_IF(h->plane_size > levels[h->level].plane_size, HEADER_DIMENSION, AT_PLANE_SIZE);
-    REFUSE_IF(h->anchor_count > levels[h->level].anchor_count, HEADER_ANCHOR_COUNT, AT_ANCHOR_COUNT);
+    REFUSE_IF(h->plane_size > levels[level].plane_size, HEADER_DIMENSION, AT_PLANE_SIZE);
+    REFUSE_IF(h->anchor_count > levels[level].anchor_count, HEADER_ANCHOR_COUNT, AT_ANCHOR_COUNT);
     SHAPES(h, networks);
     work = WORK(h, networks);
-    for (uint32_t l = lowest; l < h->level; l++)
+    for (uint32_t l = lowest; l < level; l++)
         REFUSE_IF(h->anchor_count <= levels[l].anchor_count && h->plane_size <= levels[l].plane_size &&
                   work <= levels[l].work, HEADER_LEVEL_NOT_MINIMAL, AT_LEVEL);
     most = table[h->profile][15];
@@ -979,7 +989,7 @@ static void HEADER(struct header *h, struct network *networks)
     if (h->scale_exponent < -SCALE_EXPONENT_MAX || h->scale_exponent > SCALE_EXPONENT_MAX)
         REFUSE(HEADER_POSITION_GRID, AT_SCALE_EXPONENT);
     RENDER_INFO(h);
-    REFUSE_IF(work > levels[h->level].work, HEADER_WORK, AT_ANCHOR_COUNT);
+    REFUSE_IF(work > levels[level].work, HEADER_WORK, AT_ANCHOR_COUNT);
     if (h->chunk_count < (h->anchor_count + h->chunk_size - 1) / h->chunk_size || h->chunk_count > h->anchor_count)
         REFUSE(HEADER_CHUNK_COUNT, AT_CHUNK_COUNT);
 }
@@ -2278,7 +2288,7 @@ static void PARTS_END(struct scene *s, int print)
     uint8_t head[HEAD_LENGTH], digests[PARTS][32] = {{0}}, digest[32] = {0};
     struct part whole = {.at = 0};
     int parts = PART_COUNT(&s->h);
-    memcpy(head, "C3GSREC1", 8);
+    memcpy(head, s->h.later ? "C3GSREC2" : "C3GSREC1", 8);
     PUT_U32(head + 8, s->h.anchor_count);
     for (int i = 0; i < parts; i++)
         SHA_END(&s->part[i].digest, digests[i]);

@@ -215,7 +215,7 @@ CASES = [
          More("mode-unchecked")),
         ("minor-profile", "a profile that a later minor version may have", later, limits.profile, 2,
          More("profile-unchecked")),
-        ("minor-level", "a level that a later minor version may have", later, limits.level, 1, More("level-limits")),
+        ("minor-level", "a level that a later minor version may have", later, limits.level, 10, More("level-limits")),
         ("minor-reserved", "a reserved field to which a later minor version may give a meaning", later, header.reserved,
          "reserved", 1, More("reserved-unchecked"))),
 ]

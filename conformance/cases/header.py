@@ -11,7 +11,7 @@ from functools import partial
 
 import numpy as np
 
-from refcodec.bitstream.header import HEADER_LENGTH_MAX, PROLOGUE_BYTES, PositionGrid, RenderInfo
+from refcodec.bitstream.header import ALPHA_MOST, HEADER_LENGTH_MAX, PROLOGUE_BYTES, PositionGrid, RenderInfo
 from refcodec.bitstream.limits import MAIN
 from refcodec.bitstream.scene import Scene
 
@@ -22,6 +22,7 @@ from .scenes import SMALLEST, f16, scene
 from .table import label_of, refused, valid
 from .target import Target
 from .targets import grids, main_file, target_of
+from .weights import with_weights
 
 SMALLEST_F32 = 2.0**-149
 LARGEST_F32 = float(np.finfo(np.float32).max)
@@ -113,7 +114,8 @@ def _chunk_counts(draw: Draw, t: Target) -> int:
 _padded = target_of(lambda: drawn("refused-padded", 2, replace(SMALLEST, slices=(1, 1, 1))))
 # Base steps next to the limits.
 _BELOW, _ABOVE = float.fromhex("0x1.fffffep-61"), float.fromhex("0x1.000002p+60")
-_ABOVE_ONE = float.fromhex("0x1.000002p+0")
+# The f32 above 0.99, the limit of alpha_max.
+_ABOVE_LIMIT = float.fromhex("0x1.fae14ap-1")
 _HALVES = np.array(
     [[0, 1, 2], [0x8001, 0x3C00, 0xBC00], [0x7BFF, 0xFBFF, 0], [3, 5, 0x8007], [0x3C00, 0, 0x0400]], np.uint16
 ).view(np.float16)
@@ -142,7 +144,7 @@ position_grid = wrong_value("header.position_grid", {
     "position_grid.scale_mantissa": [0], "position_grid.scale_exponent": [61, -61, -128, 127]})
 render_info = wrong_value("header.render_info", {
     "render_info.up_axis": [6, 255], "render_info.near_plane": NOT_POSITIVE, "render_info.distance_unit": NOT_POSITIVE,
-    "render_info.alpha_max": [*NOT_POSITIVE, 1.0001], "render_info.low_pass": NOT_POSITIVE[1:]})
+    "render_info.alpha_max": [*NOT_POSITIVE, 0.9901], "render_info.low_pass": NOT_POSITIVE[1:]})
 chunk_count = element("header.chunk_count", "chunk_count", _chunk_counts)
 
 CASES = [
@@ -240,7 +242,7 @@ CASES = [
             ("distance_unit", NAN, "not-a-number"), ("distance_unit", 0.0, "zero"), ("distance_unit", -1.0, "negative"),
             ("distance_unit", -INFINITY, "infinite"), ("distance_unit", INFINITY, "plus-infinite"),
             ("alpha_max", NAN,
-             "not-a-number"), ("alpha_max", -0.0, "minus-zero"), ("alpha_max", _ABOVE_ONE, "above-one"),
+             "not-a-number"), ("alpha_max", -0.0, "minus-zero"), ("alpha_max", _ABOVE_LIMIT, "above-limit"),
             ("alpha_max", INFINITY, "infinite"),
             ("low_pass", NAN, "not-a-number"), ("low_pass", INFINITY, "infinite"),
             ("low_pass", -SMALLEST_F32, "negative"), ("low_pass", -1.0, "minus-one")))),
@@ -249,7 +251,7 @@ CASES = [
          partial(scene, "render-info", 2, SMALLEST, render=render))
         for name, render in (
             ("least", RenderInfo((0, 0, 0), 0, SMALLEST_F32, SMALLEST_F32, SMALLEST_F32, 0.0)),
-            ("largest", RenderInfo((255, 255, 255), 5, LARGEST_F32, LARGEST_F32, 1.0, LARGEST_F32, 255, 255)),
+            ("largest", RenderInfo((255, 255, 255), 5, LARGEST_F32, LARGEST_F32, ALPHA_MOST, LARGEST_F32, 255, 255)),
             ("negative-zeros", RenderInfo(low_pass=-0.0)),
             ("linear-light", RenderInfo(transfer_characteristics=8)),
             ("codes-of-0", RenderInfo(colour_primaries=0, transfer_characteristics=0))))),
@@ -257,6 +259,9 @@ CASES = [
         (f"render-model-{model}", f"render model {model}, with {inputs} view inputs and {outputs} colour outputs",
          _modelled, model, inputs, outputs)
         for model, inputs, outputs in ((2, 4, 3), (3, 0, 1), (255, 8, 48)))),
+    *valid("render-info dimensions", "render-model accumulator-bound", "R6.5-1 D7.2-1",
+        ("render-model-2-large-weight", "render model 2 without view inputs, and weights beyond those of static scenes",
+         lambda: with_weights(_modelled(2, 0, 3), ("opacity.0", 0, 0, 4096.0)))),
     *valid("render-info dimensions main", "limit-off-by-one render-model", "R11.1-2 G6.5-1", *(
         (f"main-render-model-{model}", f"render model {model} in Main, {title}",
          partial(_modelled, model, inputs, outputs, "render-model-main", 1, profile=MAIN, chunk_size=256))

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from refcodec.bitstream.dimensions import Dimensions, work
+from refcodec.bitstream.dimensions import STATIC, Dimensions, work
 from refcodec.bitstream.directory import INDEX, WEIGHTS, critical_sections, section_lengths
 from refcodec.bitstream.header import Header, Lanes, PositionGrid, RenderInfo, emit_file
 from refcodec.bitstream.limits import FEATURES_MAX, MAIN, PROFILES, TINY
@@ -26,7 +26,9 @@ from .targets import main_file, plain, planeless, target_of, unpredicted
 from .weights import QUIET_SARM, packed_weights, sparse, with_weights
 
 LEVELS = PROFILES[MAIN].levels
-HIGHEST = max(LEVELS)
+LOWEST, HIGHEST = min(LEVELS), max(LEVELS)
+# The next lower level of each but the lowest.
+LOWER = {number: lower for lower, number in pairwise(LEVELS)}
 # SPEC 5.3: the lists of the dimensions, by their count field.
 LISTS = {
     "slice_count": "slice_width",
@@ -101,6 +103,46 @@ def list_length(t: Target, counter: str, widths: list[int]) -> Whole:
     return Whole(t.with_header(change), t.at(f"dimensions.{counter}"))
 
 
+_NONE = {"plane_channels": 0, "frequency_count": 0, "plane_size": 0}
+# Several wrong dimensions of main_file: a title, the field of the first check, fields, and lists by their counters.
+AT_ONCE: dict[str, tuple[str, str, dict[str, int], dict[str, list[int]]]] = {
+    "no-plane-size-and-no-sarm": ("planes without a size and without layers of SARM", "plane_size",
+        {"plane_size": 0}, {"sarm_layers": []}),
+    "size-and-sarm-for-nothing": ("plane_size and layers of SARM, though there are no planes", "plane_size",
+        {"plane_channels": 0, "plane_size": 2}, {}),
+    "size-and-hyper-for-nothing": ("plane_size and layers of F_h, though there are no planes and inputs", "plane_size",
+        {**_NONE, "plane_size": 2}, {"sarm_layers": [], "hyper_layers": [4]}),
+    "sarm-and-hyper-for-nothing": ("layers of SARM and F_h, though there are no planes and inputs", "sarm_layers",
+        _NONE, {"sarm_layers": [4], "hyper_layers": [4]}),
+    "hyper-and-carm-for-nothing": ("layers of F_h without inputs, and of CARM for one slice", "hyper_layers", _NONE,
+        {"sarm_layers": [], "hyper_layers": [4], "slice_count": [5], "carm_layers": [4]}),
+    "carm-and-view-inputs": ("layers of CARM for one slice, and view_inputs", "carm_layers", {"view_inputs": 1},
+        {"slice_count": [5], "carm_layers": [4]}),
+    "carm-and-level": ("layers of CARM for one slice, and a plane_size that the level does not allow", "carm_layers",
+        {"plane_size": 129}, {"slice_count": [5], "carm_layers": [4]}),
+    "hyper-width-and-slice-width": ("an item of hyper_width, and one of slice_width", "hyper_width[0]", {},
+        {"hyper_layers": [129], "slice_count": [65, 5]}),
+    "static-view-and-colour": ("view_inputs and colour_outputs of a static scene", "view_inputs",
+        {"view_inputs": 1, "colour_outputs": 4, "render_model": STATIC}, {}),
+    "static-view-and-level": ("view_inputs of a static scene, and a plane_size that its level does not allow",
+        "view_inputs", {"plane_size": 129, "render_model": STATIC}, {}),
+}  # fmt: skip
+
+
+@fault("header.dimension", list(AT_ONCE), base=_main)
+def dimensions_at_once(t: Target, name: str) -> Whole:
+    """Several dimensions are wrong, or one is for two reasons. name: in AT_ONCE."""
+    _, reported, values, lists = AT_ONCE[name]
+
+    def change(fields: Any) -> None:
+        fields.render_info.render_model = values.get("render_model", 0)
+        fields.dimensions.update({field: value for field, value in values.items() if field != "render_model"})
+        for counter, widths in lists.items():
+            fields.dimensions[counter], fields.dimensions[LISTS[counter]] = len(widths), widths
+
+    return Whole(t.with_header(change), t.at(f"dimensions.{reported}"))
+
+
 @fault("header.dimension", _many, base=_main)
 def many_features(t: Target, *widths: int) -> Edit:
     """Slices are within the profile, but their sum exceeds FEATURES_MAX. widths: one for each slice of the file."""
@@ -117,9 +159,9 @@ def too_many_anchors(t: Target, value: int, level: int | None = None) -> Edit:
 
 @fault(
     "header.level_not_minimal",
-    (2, HIGHEST),
-    lambda d, t, level: d.integer(0, LEVELS[level - 1].anchors),
-    lambda d, t, level, _: d.integer(2, LEVELS[level - 1].plane_size),
+    list(LOWER),
+    lambda d, t, level: d.integer(0, LEVELS[LOWER[level]].anchors),
+    lambda d, t, level, _: d.integer(2, LEVELS[LOWER[level]].plane_size),
     base=_main,
 )
 def level_too_high(t: Target, level: int, anchors: int, plane_size: int) -> Edit:
@@ -128,8 +170,8 @@ def level_too_high(t: Target, level: int, anchors: int, plane_size: int) -> Edit
     return Edit(t.pack(values), t.at("level"))
 
 
-@fault("header.work", (1, 3), base=_main)
-def work_of_widths(t: Target, level: int = 1) -> Edit:
+@fault("header.work", list(LEVELS)[:3], base=_main)
+def work_of_widths(t: Target, level: int = LOWEST) -> Edit:
     """Widths and anchors are within the level, but their work exceeds it. For a file of four slices."""
     values = {"level": level, "anchor_count": LEVELS[level].anchors}
     widths = {"slice_width[0]": 64, "slice_width[3]": 34, "hyper_width[0]": 128, "carm_width[0]": 128}
@@ -138,22 +180,22 @@ def work_of_widths(t: Target, level: int = 1) -> Edit:
 
 # --- headers alone ----------------------------------------------------------------------------------------------------
 
-# SPEC 11.2: dimensions of Main with a work of 2^16 and of 2^17 per anchor, which levels 1 to 3 and 4 to 5 allow for
-# their largest N, and dimensions with little more work.
+# SPEC 11.2: dimensions of Main with a work of 2^16 and of 2^17 per anchor, which the first three levels and the
+# others allow for their largest N, and dimensions with little more work.
 _WORK_16 = Dimensions(10, (64, 64), 0, 16, 0, (115, 120), (), (26,), 32)
 _WORK_17 = Dimensions(16, (16,) * 8, 0, 16, 0, (66, 109), (), (115,), 32)
-WORK_AT_BOUND = {level: _WORK_16 if level < 4 else _WORK_17 for level in LEVELS}
+WORK_AT_BOUND = {level: _WORK_16 if most.anchors < 1 << 24 else _WORK_17 for level, most in LEVELS.items()}
 WORK_BEYOND = {
     level: replace(d, hyper_width=(d.hyper_width[0], d.hyper_width[1] + 1)) for level, d in WORK_AT_BOUND.items()
 }
-# Dimensions whose planes are a fifth of the work of level 1, and the most anchors that it allows with them.
+# Dimensions whose planes are a fifth of the work of the lowest level, and the most anchors that it allows with them.
 WORK_OF_PLANES = Dimensions(10, (64, 64), 16, 16, 128, (115, 120), (32, 32), (26,), 32)
-BESIDE_PLANES = (LEVELS[1].work - work(WORK_OF_PLANES, 0)) // (work(WORK_OF_PLANES, 1) - work(WORK_OF_PLANES, 0))
-# Dimensions without view inputs, whose rendering networks are above the work of level 1.
+BESIDE_PLANES = (LEVELS[LOWEST].work - work(WORK_OF_PLANES, 0)) // (work(WORK_OF_PLANES, 1) - work(WORK_OF_PLANES, 0))
+# Dimensions without view inputs, whose rendering networks are above the work of the lowest level.
 WORK_OF_RENDERING = replace(_WORK_16, view_inputs=0)
-# Dimensions, and a number of anchors, whose work is one more than level 1 allows.
+# Dimensions, and a number of anchors, whose work is one more than the lowest level allows.
 _MORE = Dimensions(10, (64, 64), 1, 16, 101, (92, 128), (7,), (26,), 32), 130906
-assert work(*_MORE) == LEVELS[1].work + 1
+assert work(*_MORE) == LEVELS[LOWEST].work + 1
 
 
 def header_of(d: Dimensions, level: int, anchors: int, size: int = 16384) -> bytes:
@@ -198,7 +240,7 @@ def _of_header(
 
 def _below(level: int) -> int:
     """Returns the most anchors of a lower level, or -1."""
-    return LEVELS[level - 1].anchors if level > 1 else -1
+    return LEVELS[LOWER[level]].anchors if level in LOWER else -1
 
 
 # A valid header; one with anchors and planes within the level, but more work; and one for which a lower level would do.
@@ -211,7 +253,7 @@ too_much_work = _of_header(
 level_of_less_work = _of_header(
     "header.level_not_minimal",
     "level",
-    {level + 1: d for level, d in WORK_AT_BOUND.items() if level < HIGHEST},
+    {number: WORK_AT_BOUND[lower] for number, lower in LOWER.items()},
     lambda level: (0, _below(level)),
 )
 
@@ -284,14 +326,15 @@ CASES = [
         ("dimension-size-for-nothing", "plane_size 2, though there are no plane channels", planeless, dimension,
          "plane_size", 2)),
     *refused("dimensions", "level-limits",
-        ("dimension-main-plane-size-129", "plane_size 129 at level 1", main_file, dimension, "plane_size", 129)),
+        ("dimension-main-plane-size-129", f"plane_size 129 at level {LOWEST}", main_file, dimension,
+         "plane_size", 129)),
 
     # Profile, level, anchors and chunk_size.
     *refused("header", "profile-unchecked", ("header-profile-2", "profile 2", profile, 2)),
     *refused("header", "level-limits",
         ("header-level-1", "level 1 of Tiny", level, 1),
         *((f"header-main-level-{number}", f"level {number} of Main", main_file, level, number)
-          for number in (0, HIGHEST + 1))),
+          for number in (0, LOWEST - 1, LOWEST + 1, HIGHEST + 1))),
     *refused("header", "level-limits buffer-too-small", *(
         (f"anchor-count-{value}", f"anchor_count {value} in Tiny", too_many_anchors, value)
         for value in (4097, 0xFFFFFFFF))),
@@ -301,9 +344,9 @@ CASES = [
         for number, most in LEVELS.items())),
     *refused("main header", "level-limits level-not-minimal", *(
         (f"level-{number}-of-{anchors}-{size}",
-         f"level {number}, though level {number - 1} allows {anchors} anchors and planes of {size}", main_file,
+         f"level {number}, though level {LOWER[number]} allows {anchors} anchors and planes of {size}", main_file,
          level_too_high, number, anchors, size)
-        for number, anchors, size in ((2, 1 << 17, 128), (3, 1 << 20, 256), (4, 1 << 22, 256), (5, 1 << 24, 512)))),
+        for number, anchors, size in ((20, 1 << 17, 128), (30, 1 << 20, 256), (40, 1 << 22, 256), (50, 1 << 24, 512)))),
     *refused("header", "limit-off-by-one", *(
         (f"chunk-size-{size}", f"chunk_size {size}", chunk_size, size) for size in (0, 65537))),
     *refused("main header", "limit-off-by-one", *(
@@ -316,30 +359,30 @@ CASES = [
            header_alone, WORK_AT_BOUND[number], number, most.anchors) for number, most in LEVELS.items()),
         *((f"main-planes-{size}", f"planes of {size}, and no anchors: level {number}, which the planes alone need",
            header_alone, replace(WORK_OF_PLANES, plane_size=size), number, 0)
-          for number, size in ((2, 256), (4, 512), (5, 1024)))),
+          for number, size in ((20, 256), (40, 512), (50, 1024)))),
     *_work("level-limits work-bound", *(
         (f"work-beyond-{number}", f"as many anchors as level {number} allows, and more work", too_much_work,
          WORK_BEYOND[number], number, most.anchors) for number, most in LEVELS.items())),
     *_work("level-not-minimal work-bound",
         *((f"level-{number}-of-less-work", f"level {number}, though level {lower} allows this work",
            level_of_less_work, WORK_AT_BOUND[lower], number, LEVELS[lower].anchors)
-          for lower, number in pairwise(LEVELS)),
+          for number, lower in LOWER.items()),
         *((f"work-needs-{number}", f"level {number}, which the work alone needs, {_REST}", header_alone,
-           WORK_BEYOND[lower], number, LEVELS[lower].anchors) for lower, number in pairwise(LEVELS)),
-        ("work-of-planes", f"as many anchors as the work of level 1 allows beside that of the planes, {_REST}",
-         header_alone, WORK_OF_PLANES, 1, BESIDE_PLANES),
+           WORK_BEYOND[lower], number, LEVELS[lower].anchors) for number, lower in LOWER.items()),
+        ("work-of-planes", f"as many anchors as the work of level 10 allows beside that of the planes, {_REST}",
+         header_alone, WORK_OF_PLANES, LOWEST, BESIDE_PLANES),
         ("work-of-rendering", f"rendering networks without view inputs, which count as work, {_REST}", header_alone,
-         WORK_OF_RENDERING, 2, LEVELS[1].anchors),
-        ("work-needs-2-by-one", f"level 2, which a work of 2^33 + 1 needs, {_REST}", header_alone, _MORE[0], 2,
+         WORK_OF_RENDERING, LOWEST + 10, LEVELS[LOWEST].anchors),
+        ("work-needs-20-by-one", f"level 20, which a work of 2^33 + 1 needs, {_REST}", header_alone, _MORE[0], 20,
          _MORE[1])),
     *_work("work-bound", (too_much_work,),
-        ("work-of-rendering", "rendering networks without view inputs, which count as work", WORK_OF_RENDERING, 1,
-         LEVELS[1].anchors),
-        ("work-of-planes", "one anchor more than that", WORK_OF_PLANES, 1, BESIDE_PLANES + 1),
-        ("work-beyond-by-one", "work of 2^33 + 1 at level 1", _MORE[0], 1, _MORE[1], More("limit-off-by-one"))),
+        ("work-of-rendering", "rendering networks without view inputs, which count as work", WORK_OF_RENDERING, LOWEST,
+         LEVELS[LOWEST].anchors),
+        ("work-of-planes", "one anchor more than that", WORK_OF_PLANES, LOWEST, BESIDE_PLANES + 1),
+        ("work-beyond-by-one", "work of 2^33 + 1 at level 10", _MORE[0], LOWEST, _MORE[1], More("limit-off-by-one"))),
     *_work("level-limits level-not-minimal",
-        ("level-2-by-one-anchor", f"level 2, which {LEVELS[1].anchors + 1} anchors need, {_REST}", header_alone,
-         SMALLEST, 2, LEVELS[1].anchors + 1)),
+        ("level-20-by-one-anchor", f"level 20, which {LEVELS[LOWEST].anchors + 1} anchors need, {_REST}", header_alone,
+         SMALLEST, 20, LEVELS[LOWEST].anchors + 1)),
 
     # Files of Main.
     *valid("main chunks", "carm-slices", "R11.1-2 R11.1-3 D7.9-1 D7.10-1",
@@ -358,5 +401,5 @@ CASES = [
         ("tiny-chunk-size-65536", "the largest chunk_size of Tiny",
          partial(drawn, "tiny-chunk-size", 6, SMALLEST, chunk_size=65536))),
     *valid("main planes", "level-limits", "R11.2-1 R11.2-3 D7.3-1 D7.3-2",
-        ("main-level-2", "planes that only level 2 allows", _large_planes, More(seconds=60))),
+        ("main-level-20", "planes that only level 20 allows", _large_planes, More(seconds=60))),
 ]

@@ -12,12 +12,24 @@ from refcodec.bitstream.scene import Scene
 from . import attributes, chunks, context, directory, header, index, limits, networks, planes, positions, weights_packed
 from . import entropy_substreams as substreams
 from . import entropy_symbols as symbols
-from .checksums import Depth
+from .checksums import Depth, repair
 from .fault import element
 from .numbers import Numbers
 from .scenes import SMALLEST, lattice, placed, scene, settled
 from .table import chain, ordered, refused
-from .targets import ATTRIBUTES_0, far, five_cells, grids, main_file, packed, plain, planeless, strewn, target_of
+from .targets import (
+    ATTRIBUTES_0,
+    far,
+    five_cells,
+    grids,
+    later_main,
+    main_file,
+    packed,
+    plain,
+    planeless,
+    strewn,
+    target_of,
+)
 from .weights import packed_weights, with_weights
 
 # The header_length is 0, and the prologue's CRC-32 is not repaired.
@@ -36,6 +48,11 @@ def _two_raw() -> Scene:
     return packed_weights(settled(with_weights(made, *((name, 0, None, -0.0) for name in ("hyper.0", "opacity.0")))))
 
 
+def _put(data: bytes, at: int, value: int) -> bytes:
+    """Returns a file with another byte."""
+    return data[:at] + bytes([value]) + data[at + 1 :]
+
+
 def _end(chunk: int) -> int:
     """Returns a place within a chunk of plain."""
     return plain().chunk_at(chunk) + 20
@@ -52,7 +69,7 @@ _RENDER = ("render-info", "render_info.low_pass", header.render_info, "render_in
 _PROFILE, _LATE = (limits.profile, 9), (directory.unknown_section, 0, b"ZZZZ")
 _MANY = (limits.many_features, 64, 63, 1, 1)
 # Level 1 would suffice for the anchors and planes of main_file.
-_LEVEL = (limits.level_too_high, 2, 0, 2)
+_LEVEL = (limits.level_too_high, 20, 0, 2)
 _GRID = "position_grid.reserved"
 _HEADER = [
     # Neighbours in the order of checks.
@@ -152,6 +169,31 @@ _HEADER = [
          (limits.dimension, "plane_size", 200), (limits.too_many_anchors, (1 << 17) + 1)),
         ("width-and-no-planes", "render_width, and planes of no channels", planeless,
          (limits.dimension, "render_width", 0), (limits.dimension, "plane_size", 2))),
+    # The rules on several fields, and fields that stand in another order in the file.
+    *ordered("R11.1-2", *(
+        (name, title, main_file, (limits.dimensions_at_once, name))
+        for name, (title, *_) in limits.AT_ONCE.items())),
+    *ordered("R6.2-5 R6.4-1 R6.5-1 R6.2-7",
+        ("grid-and-render-reserved", "reserved of the grid, and of the render information", (header.reserved, _GRID, 1),
+         (header.reserved, "render_info.reserved", 1)),
+        ("step-and-origin", "a base step, and an origin", (header.base_step, "base_step[2]", 0.0),
+         (header.position_grid, "position_grid.origin[0]", 1 << 62)),
+        ("mantissa-and-exponent", "scale_mantissa and scale_exponent",
+         (header.position_grid, "position_grid.scale_mantissa", 0),
+         (header.position_grid, "position_grid.scale_exponent", 61)),
+        ("exponent-and-up", "scale_exponent and up_axis", (header.position_grid, "position_grid.scale_exponent", 61),
+         (header.render_info, "render_info.up_axis", 6)),
+        ("up-and-near", "up_axis, and a near_plane that is no number", (header.render_info, "render_info.up_axis", 6),
+         (header.render_info, "render_info.near_plane", header.NAN))),
+    *ordered("R6.2-3 R6.2-4",
+        ("more-bytes-and-padding", "bytes after the fields of the header, and padding of the dimensions", grids,
+         (header.fields_cut_or_padded, lambda t: header.fields_length(t) + 4),
+         lambda data: repair(_put(data, grids().at("dimensions.padding"), 1), Depth.HEADER))),
+    *ordered("R6.1-1", ("length-and-signature", "19 bytes that do not begin as a C3GS file",
+                        (header.cut_in_prologue, 19), lambda data: b"\0" + data[1:])),
+    *ordered("R11.2-4", ("minor-and-level", "minor version 3, and a level that is too high", later_main, _LEVEL)),
+    *ordered("R6.6-7", ("empty-data-crc", "the CRC-32 of DATA, which is not 0 though there are no anchors", main_file,
+                        (directory.section_crc, 4, 5))),
 
     # A wrong end and an earlier fault: the end is not checked first.
     *ordered("",

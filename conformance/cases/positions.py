@@ -127,6 +127,10 @@ _largest_index = target_of(
 _coarsest = target_of(lambda: _in_cells("refused-overflow", MIDDLE + np.array([[0, 0, 0], [1, 0, 0]]), 39))
 
 
+# Of the rank 0x7C00 on each axis, which would be infinity.
+_INFINITE_CODE = ((1 << 18) - 1) << 30
+
+
 @cache
 def _lattice() -> NDArray[np.float16]:
     return lattice(Numbers("cells"), 60)
@@ -195,8 +199,10 @@ CASES = [
          five_cells, overgrown, 3, More("tree-count tree-dropped")),
         ("cells-cell-of-no-f16", "a cell whose integer has more bits than an f16", five_cells, cell_of_no_number,
          LAST_CODE, More("cell-ends")),
-        ("cells-cell-infinite", "a cell that counts to where infinity would be", _largest_index, cell_of_no_number,
-         LAST_CODE, More("cell-index half-limits"))),
+        ("cells-cell-infinite", "a cell whose rank is that of infinity", _largest_index, cell_of_no_number,
+         _INFINITE_CODE, More("cell-index half-limits")),
+        ("cells-cell-not-a-number", "a cell whose rank is the last one", _largest_index, cell_of_no_number, LAST_CODE,
+         More("cell-index half-limits"))),
     # Two units of 2^39 along x are one more than the largest f16.
     *refused("packed-positions", "cell-ends half-limits", (_coarsest, cell_of_no_number),
         ("cells-cell-overflow", "a cell beyond the largest f16", MIDDLE_CODE | 1 << 3),

@@ -16,7 +16,7 @@ from refcodec.bitstream.splat import SCALING_BOUND, exponential
 from . import limits, networks
 from .numbers import Numbers
 from .scenes import SMALLEST, TINY_DIMENSIONS, drawn_symbols, f16, lattice, scene, with_symbols
-from .table import label_of, refused, valid
+from .table import NAME, label_of, refused, valid
 from .target import Target
 from .targets import target_of
 from .weights import ALL, BASE_STEPS, dyadic, packed_weights, with_weights
@@ -25,9 +25,9 @@ DEGREES = RENDER_MODELS[STATIC][1]
 RENDER = RenderInfo(render_model=STATIC)
 
 
-def _scene(name: str, anchors: int = 9, outputs: int = 12) -> Scene:
+def _scene(name: str, anchors: int = 9, outputs: int = 12, offsets: int = TINY_DIMENSIONS.offset_count) -> Scene:
     """Returns a scene of ordinary sizes: features fill the range of activations, outputs are below 16."""
-    numbers, d = Numbers(name), replace(TINY_DIMENSIONS, view_inputs=0, colour_outputs=outputs)
+    numbers, d = Numbers(name), replace(TINY_DIMENSIONS, view_inputs=0, colour_outputs=outputs, offset_count=offsets)
     where, grid = lattice(numbers, anchors), PositionGrid((0, 0, 0), 1, 0)
     made = scene(name, anchors, d, positions=where, base_step=(16.0, 0.0625, 0.25), grid=grid, render=RENDER)
     with_weights(made, BASE_STEPS)
@@ -68,14 +68,33 @@ def _turned() -> Scene:
     return replace(made, masks=np.ones_like(made.masks))
 
 
-def _cancelled() -> Scene:
-    """Positions are 1, offsets -1 and their neighbours. The exponential of 0 is 1."""
-    near, grid = [-1, -1, 1, -(1 << 22), (1 << 23) - 1, -((1 << 23) - 1), 3, -3], PositionGrid((0, 0, 0), 1, 0)
-    d, where = replace(SMALLEST, view_inputs=0, colour_outputs=3), f16(np.ones((len(near), 3), np.int64))
+def _one_of_four() -> Scene:
+    """Offset k has a quaternion whose number k alone is not 0."""
+    made = _scene("static-one-of-four", 5, offsets=4)
+    weight, bias = made.networks["covariance"][-1]
+    for k in range(4):
+        weight[7 * k + 3 : 7 * k + 7], bias[7 * k + 3 : 7 * k + 7] = 0, np.eye(4)[k] * (k - 1.5)
+    return replace(made, masks=np.ones_like(made.masks))
+
+
+def _long_outputs() -> Scene:
+    """Outputs of all three networks have up to 24 bits, of either sign."""
+    made = _scene("static-long-outputs", 3)
+    for network in RENDERING:
+        weight, bias = made.networks[network][-1]
+        weight[:], bias[:] = 0, np.resize([(1 << 24) - 1, 1 - (1 << 24), (1 << 23) + 5, -(1 << 16)], len(bias))
+    return replace(made, masks=np.ones_like(made.masks))
+
+
+def _cancelled(name: str, exponent: int, signs: int) -> Scene:
+    """Positions are 2^(exponent - 24), offsets -1 and their neighbours. exp(0) is 1. signs: of every second anchor."""
+    near, grid = [-1, -1, 1, -(1 << 22), (1 << 23) - 1, -((1 << 23) - 1), 3, -3], PositionGrid((0, 0, 0), 1, exponent)
+    sign = np.resize([1, signs], (len(near), 1))
+    d, where = replace(SMALLEST, view_inputs=0, colour_outputs=3), f16(np.tile(sign, 3))
     fields: dict[str, Any] = {"masks": np.ones((len(near), 1), bool), "base_step": (1.0, 1.0, 1.0), "render": RENDER}
-    made = scene("static-cancelled", len(near), d, positions=where, grid=grid, **fields)
+    made = scene(name, len(near), d, positions=where, grid=grid, **fields)
     with_weights(made, BASE_STEPS, *((network, ALL, 0, 1) for network in RENDERING))
-    offsets = np.array([[[x, x - 1, -x]] for x in near])
+    offsets = np.array([[[x, x - 1, -x]] for x in near]) * sign[:, None]
     scalings = np.zeros((len(near), 6), np.int64)
     # 2^-24 of 1, where sums are ties.
     scalings[2:, :3] = np.array([-17, -17, -8, -8, -17, -17])[:, None]
@@ -86,6 +105,11 @@ def _with_lengths(name: str, anchors: int) -> Scene:
     """Returns a scene that keeps all offsets. A step of scalings is 2^-16."""
     made = _scene(name, anchors)
     return replace(made, masks=np.ones_like(made.masks), base_step=(0.5, 2.0**-16, 0.25))
+
+
+def _halves() -> Scene:
+    made = _with_lengths("static-scaling-ties", 12)
+    return replace(made, base_step=(0.5, 2.0**-17, 0.25))
 
 
 def _lengths() -> Scene:
@@ -128,7 +152,12 @@ CASES = [
         ("static-far", "features, scalings and offsets beyond what 9.4 limits", _of_steps, "static-far", 2.0**60),
         ("static-near", "the least features, scalings and offsets", _of_steps, "static-near", 2.0**-60),
         ("static-turned", "quaternions of zeros, and one with a single number", _turned),
-        ("static-cancelled", "means that are 0, halfway between two f32, or lose all but their last bits", _cancelled),
+        ("static-one-of-four", "quaternions with a single number, each of the four", _one_of_four),
+        ("static-long-outputs", "outputs of 24 bits, of either sign", _long_outputs),
+        ("static-cancelled", "means halfway between two f32, or that lose all but their last bits", _cancelled, NAME, 0,
+         1),
+        ("static-mean-zero", "means that are 0, from positions of either sign", _cancelled, NAME, 24, -1),
+        ("static-scaling-ties", "scalings halfway between two units of 2^-16", _halves),
         ("static-lengths", "scalings over the whole range of the exponential, and features with halves", _lengths),
         ("static-long", "logarithms of lengths with up to 29 bits, some halfway between two f32", _long)),
     *refused("static dimensions", "limit-off-by-one", *(

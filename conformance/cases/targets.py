@@ -92,6 +92,12 @@ def main_file() -> Scene:
 
 
 @target_of
+def later_main() -> Scene:
+    """main_file, of a later minor version."""
+    return replace(codec.parse(main_file().data).scene, minor=3, later=b"\1\2\3\4")
+
+
+@target_of
 def grids(seed: int = 0) -> Scene:
     """A file in mode 1. The first layer is raw because of a bias of -0, the others are packed."""
     d = replace(SMALLEST, slices=(1, 1), carm_width=(2,)) if seed % 2 else SMALLEST

@@ -80,7 +80,7 @@ def _render(numbers: Numbers) -> RenderInfo:
         numbers.integer(0, 5),
         positive(),
         positive(),
-        float(dyadic(numbers.integers(1, 256, 1), 8)[0]),
+        float(dyadic(numbers.integers(1, 253, 1), 8)[0]),
         float(dyadic(numbers.integers(0, 999, 1), 4)[0]),
     )
 

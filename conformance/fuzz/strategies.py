@@ -18,7 +18,7 @@ from refcodec.bitstream.ancillary import TYPES, AncillaryType
 from refcodec.bitstream.attributes import ATTRIBUTE_SYMBOL_MAX, Attributes
 from refcodec.bitstream.dimensions import RENDER_MODELS, STATIC, Dimensions, mask_contexts
 from refcodec.bitstream.frame import Frame
-from refcodec.bitstream.header import ORIGIN_BOUND, Lanes, PositionGrid, RenderInfo
+from refcodec.bitstream.header import ALPHA_MOST, ORIGIN_BOUND, Lanes, PositionGrid, RenderInfo
 from refcodec.bitstream.limits import PROFILES, TINY
 from refcodec.bitstream.networks import BoundError, derive_layer
 from refcodec.bitstream.planes import PLANE_SYMBOL_MAX
@@ -95,7 +95,7 @@ def render_infos(d: Dimensions, bounded: bool) -> st.SearchStrategy[RenderInfo]:
         st.integers(0, 5),
         positive,
         positive,
-        st.floats(2.0**-20, 1, width=32),
+        st.floats(2.0**-20, ALPHA_MOST, width=32),
         st.floats(0, 2.0**20, width=32),
         byte,
         byte,

@@ -17,7 +17,7 @@ from refcodec import statuses
 from refcodec.bitstream import syntax
 from refcodec.bitstream.dimensions import dimensions_of, weight_count
 from refcodec.bitstream.errors import REGISTRY
-from refcodec.bitstream.reconstruction import DIGEST_MAGIC, part_names
+from refcodec.bitstream.reconstruction import DIGEST_MAGIC, LATER_MAGIC, part_names
 from refcodec.files.documents import DocumentError, parse_json
 
 from ..manifest import Accepted, GaussiansOf, Manifest, ManifestError, Rejected, Sha256, Strict, Vector
@@ -124,6 +124,7 @@ def read_output(file: BinaryIO) -> Output:
         render, size = syntax.parse("RenderInfo", start, at)
         at, names = at + size, part_names(render.render_model)
         d, size = syntax.parse("Dimensions", start, at)
+        size += 32 if start.startswith(LATER_MAGIC) else 0
     except cs.ConstructError:
         size = len(start)
     head, listed = start[: at + size], start[: at + size + 32 * len(names)]

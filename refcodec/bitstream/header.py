@@ -28,6 +28,9 @@ BASE_STEP_MIN, BASE_STEP_MAX = 2.0**-60, 2.0**60
 # SPEC 6.4
 ORIGIN_BOUND = 1 << 62
 SCALE_EXPONENT_MAX = 60
+# SPEC [R6.5-1]: a limit near 1 would show the background through opaque Gaussians, where blending stops (14.5).
+ALPHA_LIMIT = 0x3F7D70A4
+ALPHA_MOST = float(np.uint32(ALPHA_LIMIT).view(np.float32))
 
 
 @dataclass(frozen=True)
@@ -64,7 +67,7 @@ class RenderInfo:
     up_axis: int = 3
     near_plane: float = float(np.float32(0.2))
     distance_unit: float = 1.0
-    alpha_max: float = float(np.float32(0.99))
+    alpha_max: float = ALPHA_MOST
     low_pass: float = float(np.float32(0.3))
     colour_primaries: int = 1
     transfer_characteristics: int = 13
@@ -287,8 +290,8 @@ def _checked_render(header: syntax.Struct) -> RenderInfo:
     for scalar in ("near_plane", "distance_unit"):
         if r[scalar] <= 0:
             raise header.error(name, field(scalar), r[scalar], "more than 0")
-    if not 0 < r.alpha_max <= 1:
-        raise header.error(name, field("alpha_max"), r.alpha_max, "more than 0 and at most 1")
+    if not 0 < r.alpha_max <= ALPHA_MOST:
+        raise header.error(name, field("alpha_max"), r.alpha_max, "more than 0 and at most 0.99")
     if r.low_pass < 0:
         raise header.error(name, field("low_pass"), r.low_pass, "at least 0")
     return RenderInfo(**{own.name: r[own.name] for own in fields(RenderInfo)} | {"background": tuple(r.background)})

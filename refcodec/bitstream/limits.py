@@ -71,15 +71,15 @@ _BOUNDS: dict[str, tuple[Bounds, Bounds]] = {
     "slice_width": ((1, 16), (1, 64)),
     "chunk_size": ((1, 65536), (256, 16384)),
 }
-# SPEC 11.2
+# SPEC 11.2: numbers of Main leave room between each two.
 _LEVELS = {
     TINY: {0: Level(4096, 32, 1 << 28)},
     MAIN: {
-        1: Level(1 << 17, 128, 1 << 33),
-        2: Level(1 << 20, 256, 1 << 36),
-        3: Level(1 << 22, 256, 1 << 38),
-        4: Level(1 << 24, 512, 1 << 41),
-        5: Level(1 << 26, 1024, 1 << 43),
+        10: Level(1 << 17, 128, 1 << 33),
+        20: Level(1 << 20, 256, 1 << 36),
+        30: Level(1 << 22, 256, 1 << 38),
+        40: Level(1 << 24, 512, 1 << 41),
+        50: Level(1 << 26, 1024, 1 << 43),
     },
 }
 PROFILES = {

@@ -26,8 +26,9 @@ from .scene import Scene, take_anchors
 from .splat import COLUMNS, HARMONICS, SPLAT_ANCHORS, Rendering, derive_rendering, splat
 from .tables import STEP_SHIFT, step_table
 
-# SPEC 9.3: the first hashed bytes of the digests of a scene and of a chunk, and the parts of the reconstruction.
-DIGEST_MAGIC = b"C3GSREC1"
+# SPEC 9.3: the first hashed bytes of the digests of a scene, of one whose header has bytes of a later version, and of a
+# chunk; and the parts of the reconstruction.
+DIGEST_MAGIC, LATER_MAGIC = b"C3GSREC1", b"C3GSREC2"
 CHUNK_MAGIC = b"C3GSCHK1"
 PARTS = ("positions", "masks", "planes", "features", "scalings", "offsets", "weights")
 SPLAT = "splat"
@@ -196,7 +197,9 @@ def canonical_head(scene: Scene, anchors: int | None = None) -> bytes:
     count = scene.anchor_count if anchors is None else anchors
     render = syntax.build("RenderInfo", render_fields(scene.render))
     dimensions = syntax.build("Dimensions", dimension_fields(scene.dimensions))
-    return DIGEST_MAGIC + struct.pack("<I", count) + render + dimensions
+    later = hashlib.sha256(scene.later).digest() if scene.later else b""
+    magic = LATER_MAGIC if later else DIGEST_MAGIC
+    return magic + struct.pack("<I", count) + render + dimensions + later
 
 
 def digested(scene: Scene) -> bytes:

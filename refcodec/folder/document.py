@@ -8,7 +8,7 @@ from msgspec import Meta, Struct
 
 from ..bitstream.dimensions import Dimensions
 from ..bitstream.frame import FRAME_RANGE_BOUND, FRAME_SHIFT_MAX, MATRIX_BOUND, TRANSLATION_BOUND
-from ..bitstream.header import BASE_STEP_MAX, BASE_STEP_MIN, MAJOR, ORIGIN_BOUND, SCALE_EXPONENT_MAX, Lanes
+from ..bitstream.header import ALPHA_MOST, BASE_STEP_MAX, BASE_STEP_MIN, MAJOR, ORIGIN_BOUND, SCALE_EXPONENT_MAX, Lanes
 from ..bitstream.positions import CELL_INDEX, HALVES, POSITION_MODELS
 from ..bitstream.tables import TOTAL
 from ..bitstream.weights import CARM_SHIFT_MAX, PLANE_SHIFT_MAX
@@ -53,7 +53,7 @@ class RenderFields(Struct):
     up_axis: Annotated[int, Meta(ge=0, le=5)]
     near_plane: Positive
     distance_unit: Positive
-    alpha_max: Annotated[float, Meta(gt=_TINY, le=1)]
+    alpha_max: Annotated[float, Meta(gt=_TINY, le=ALPHA_MOST)]
     low_pass: Annotated[float, Meta(ge=0, lt=_HUGE)]
     colour_primaries: Byte
     transfer_characteristics: Byte

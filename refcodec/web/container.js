@@ -39,15 +39,17 @@ const PROFILES = [
     plane_size: [2, 1024], render_width: [1, 128], hyper_width: [1, 128], sarm_width: [1, 32], carm_width: [1, 128],
     slice_width: [1, 64], chunk_size: [256, 16384],
     levels: [
-      { number: 1, anchors: 131072, planeSize: 128, work: 2 ** 33 },
-      { number: 2, anchors: 1048576, planeSize: 256, work: 2 ** 36 },
-      { number: 3, anchors: 4194304, planeSize: 256, work: 2 ** 38 },
-      { number: 4, anchors: 16777216, planeSize: 512, work: 2 ** 41 },
-      { number: 5, anchors: 67108864, planeSize: 1024, work: 2 ** 43 },
+      { number: 10, anchors: 131072, planeSize: 128, work: 2 ** 33 },
+      { number: 20, anchors: 1048576, planeSize: 256, work: 2 ** 36 },
+      { number: 30, anchors: 4194304, planeSize: 256, work: 2 ** 38 },
+      { number: 40, anchors: 16777216, planeSize: 512, work: 2 ** 41 },
+      { number: 50, anchors: 67108864, planeSize: 1024, work: 2 ** 43 },
     ],
   },
 ];
 const FEATURES_MAX = 128;
+// [R6.5-1]
+const ALPHA_LIMIT = Math.fround(0.99);
 
 // 5.8: the rendering networks
 export const RENDERING = ["opacity", "covariance", "colour"];
@@ -186,6 +188,7 @@ function parseHeader(data, end, minor) {
   }));
   // [R6.2-3]: a later minor version may have more fields (12.3).
   const rest = c.start + c.next;
+  h.later = data.slice(c.next, -4);
   need(rest === end - 4 || minor > MINOR, "header.syntax", rest);
   return h;
 }
@@ -267,7 +270,7 @@ function checkRenderInfo(h) {
   for (const name of ["near_plane", "distance_unit", "alpha_max", "low_pass"]) check(Number.isFinite(h[name]), name);
   check(h.near_plane > 0, "near_plane");
   check(h.distance_unit > 0, "distance_unit");
-  check(h.alpha_max > 0 && h.alpha_max <= 1, "alpha_max");
+  check(h.alpha_max > 0 && h.alpha_max <= ALPHA_LIMIT, "alpha_max");
   check(h.low_pass >= 0, "low_pass");
 }
 

@@ -15,8 +15,9 @@ export function partsOf(header) {
 const u32 = (...values) => Uint8Array.from(values.flatMap((value) => [0, 8, 16, 24].map((bit) => value >>> bit)));
 
 // The first bytes of the digest input of a scene.
-export function sceneHead({ anchor_count: count, drawn }) {
-  return Buffer.concat([Buffer.from("C3GSREC1"), u32(count), drawn]);
+export function sceneHead({ anchor_count: count, drawn, later }) {
+  const rest = later.length > 0 ? createHash("sha256").update(later).digest() : Buffer.alloc(0);
+  return Buffer.concat([Buffer.from(rest.length > 0 ? "C3GSREC2" : "C3GSREC1"), u32(count), drawn, rest]);
 }
 
 // The numbers of each Gaussian one after the other.

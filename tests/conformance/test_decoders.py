@@ -211,7 +211,7 @@ def test_asking_for_much_allocates_little(decoders: Decoders, plain_c_decoder: P
 def test_a_header_of_many_chunks_allocates_little(decoders: Decoders) -> None:
     """Profile Main, 2^24 anchors in chunks of 256, and no byte behind the header."""
     target = Target(codec.emit(random_scene(42, 0, replace(MAIN_DIMENSIONS, plane_size=2), chunk_size=256)))
-    asked = target.with_values({"anchor_count": 1 << 24, "chunk_count": 1 << 16, "level": 4})
+    asked = target.with_values({"anchor_count": 1 << 24, "chunk_count": 1 << 16, "level": 40})
     small = repair(asked)[: target.header_end]
     assert decoders.agreed(small)[0] == "directory.length"
     assert max(peak(small, keep_going) for keep_going in (False, True)) < 2 << 20

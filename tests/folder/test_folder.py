@@ -38,7 +38,7 @@ def odd_floats(seed: int):
     tiny = float(np.float32(1e-45))
     networks = copy.deepcopy(scene.networks)
     networks["opacity"][0][0][0, :2] = [-0.0, 1e-45]
-    render = RenderInfo(background=(1, 2, 255), near_plane=tiny, alpha_max=1.0, low_pass=-0.0)
+    render = RenderInfo(background=(1, 2, 255), near_plane=tiny, alpha_max=tiny, low_pass=-0.0)
     return with_steps(replace(scene, render=render, networks=networks))
 
 
