@@ -269,8 +269,9 @@ def _packed() -> Scene:
     return replace(made, position_model=position_model(where, 256))
 
 
-def _large_planes() -> Scene:
-    made = sparse(scene("main-planes", 3, replace(MAIN_SMALLEST, plane_size=129), lanes=Lanes(6, 0, 6)))
+def _large_planes(size: int, channels: int) -> Scene:
+    d = replace(MAIN_SMALLEST, plane_size=size, plane_channels=channels)
+    made = sparse(scene("main-planes", 3, d, lanes=Lanes(6, 0, 6)))
     flat, numbers = np.zeros_like(made.planes), Numbers("main-planes/symbols")
     for at in numbers.integers(0, flat.size - 1, 60).tolist():
         flat.reshape(-1)[at] = numbers.integer(-2, 2)
@@ -401,5 +402,7 @@ CASES = [
         ("tiny-chunk-size-65536", "the largest chunk_size of Tiny",
          partial(drawn, "tiny-chunk-size", 6, SMALLEST, chunk_size=65536))),
     *valid("main planes", "level-limits", "R11.2-1 R11.2-3 D7.3-1 D7.3-2",
-        ("main-level-20", "planes that only level 20 allows", _large_planes, More(seconds=60))),
+        ("main-level-20", "planes that only level 20 allows", _large_planes, 129, 8, More(seconds=60)),
+        ("main-level-40", "planes that only level 40 allows", _large_planes, 257, 1, More(seconds=60)),
+        ("main-level-50", "the largest planes, which only level 50 allows", _large_planes, 1024, 1, More(seconds=60))),
 ]
