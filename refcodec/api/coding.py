@@ -135,11 +135,11 @@ def encode(
 def _folder_scene(folder: Path, words: EncodingWords) -> tuple[CodedScene, str]:
     """Returns the coded scene of a folder. An uncompressed one is fitted, with a message if that ended early."""
     from ..folder.layout import check_scene_folder
-    from ..folder.places import check_cloud, progress_bar
+    from ..folder.places import check_cloud, limits_of, progress_bar
     from ..folder.read import read_folder
     from ..folder.uncompressed import is_uncompressed
 
-    if (limits := words.get("limits")) is not None and limits.work is not None:
+    if limits_of(words).work is not None:
         raise UsageError("--max-work applies only to files, whose headers state the work: omit it")
     check_cloud(folder, words)
     if folder.is_file():

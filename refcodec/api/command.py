@@ -94,7 +94,8 @@ class Word:
             if self.others and not isinstance(each, str | os.PathLike):
                 continue
             wrong = self.kind is not None and not self.kind.right(each)
-            if wrong or (self.choices and each not in self.choices) or (self.flag and not isinstance(each, bool)):
+            other = self.choices and not (isinstance(each, str) and each in self.choices)
+            if wrong or other or (self.flag and not isinstance(each, bool)):
                 raise self._error(each)
         return value
 
@@ -280,8 +281,10 @@ def command(
                 bound = signature.bind(*args, **kwargs)
             except TypeError as error:
                 raise TypeError(f"{name}: {error}; it takes {', '.join(signature.parameters)}") from None
-            for key, value in bound.arguments.items():
-                if key in known and value is not None:
+            for key, value in [*bound.arguments.items()]:
+                if value is None and signature.parameters[key].default is not inspect.Parameter.empty:
+                    del bound.arguments[key]
+                elif key in known:
                     bound.arguments[key] = known[key].checked(value)
             try:
                 return function(*bound.args, **bound.kwargs)
@@ -297,7 +300,14 @@ def command(
 
 def is_given(value: object) -> bool:
     """Whether a word has another value than None, False and (), which stand for none. 0 is one."""
-    return value is not None and value is not False and value != ()
+    return value is not None and value is not False and not (isinstance(value, tuple) and not value)
+
+
+def apply_only(words: Mapping[str, object], names: Iterable[str], what: str) -> None:
+    """Raises UsageError for the first given word of some. what: states what they apply to."""
+    for name in names:
+        if is_given(words.get(name)):
+            raise UsageError(f"{Word(name).option} applies only to {what}")
 
 
 def only_one(**given: object) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from statistics import fmean
@@ -15,7 +14,7 @@ from ..files.stage import folder_beside, write_file
 from ..files.text import counted, shell_word
 from ..statuses import DONE, INTERRUPTED, UsageError, refusing
 from . import kinds
-from .command import Report, Word, command, is_given
+from .command import Report, apply_only, command
 from .learning import TrainingWords, run_training
 
 if TYPE_CHECKING:
@@ -96,23 +95,16 @@ def convert(source: kinds.AnyPath, output: kinds.SceneFolder, **words: Unpack[Co
     path = Path(source)
     splats = path / META if (path / META).is_file() else model_splats(path) or path
     if path.is_dir() and splats == path and not described(path):
-        _refuse(words, _OF_SPLATS, f"splat files: omit it for {path}")
+        apply_only(words, _OF_SPLATS, f"splat files: omit it for {path}")
         return _convert_model(path, Path(output), words)
     if not is_splat_file(splats):
         raise no_splat(path) if os.path.lexists(path) else UsageError(f"{path} does not exist")
-    _refuse(words, ("appearance",), f"model folders: omit it for {path}")
+    apply_only(words, ("appearance",), f"model folders: omit it for {path}")
     if words.get("fast"):
-        _refuse(words, _OF_TRAINING, "a training: omit it, or omit --fast")
+        apply_only(words, _OF_TRAINING, "a training: omit it, or omit --fast")
         return _convert_fast(splats, Path(output), words)
-    _refuse(words, ("psnr",), "--fast: add it, or choose the quality of a training with --lambda")
+    apply_only(words, ("psnr",), "--fast: add it, or choose the quality of a training with --lambda")
     return _train(splats, Path(output), words)
-
-
-def _refuse(words: Mapping[str, object], names: tuple[str, ...], what: str) -> None:
-    """Raises UsageError for the first given word of some. what: states what they apply to."""
-    for name in names:
-        if is_given(words.get(name)):
-            raise UsageError(f"{Word(name).option} applies only to {what}")
 
 
 def _convert_model(source: Path, output: Path, words: ConvertWords) -> Report:

@@ -13,7 +13,7 @@ from ..files.stage import write_file
 from ..files.text import counted, printable
 from ..statuses import UsageError, refusing
 from . import kinds
-from .command import ReadingWords, Report, command
+from .command import ReadingWords, Report, apply_only, command
 
 if TYPE_CHECKING:
     from ..rendering.camera import Camera
@@ -93,6 +93,8 @@ def render(
     inputs: list[str | Path | None] = [shown.folder or shown.name]
     notes: list[str] = []
     orbit = cameras == "orbit"
+    if cameras in ("default", "orbit"):
+        apply_only({"size": size}, ("size",), "photographs: omit it")
     chosen: list[Camera] = []
     if orbit:
         names = [orbit_name(number) for number in range(frames)]

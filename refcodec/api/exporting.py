@@ -14,7 +14,7 @@ from ..files.stage import Stage, write_file
 from ..files.text import counted
 from ..statuses import UsageError, refusing
 from . import kinds
-from .command import ReadingWords, Report, command
+from .command import ReadingWords, Report, apply_only, command
 
 if TYPE_CHECKING:
     from ..bitstream.batches import Progress
@@ -120,14 +120,16 @@ def export(
     page = any(path.suffix.lower() == _PAGE for path in paths)
     if page and len(paths) != 1:
         raise UsageError(f"a command writes one page, or splats: export {_PAGE} by a command of its own")
+    if words.get("photographs") is None and words.get("cameras") is None:
+        apply_only(words, ("size",), "photographs: omit it")
     if page:
+        apply_only(words, ("glb", "degree", "cameras", "iterations", "spz_bits"), "splats: omit it for a page")
         check_outputs([file, words.get("photographs")], (paths[0], PAGE))
         return write_page(_shown(file, words), paths[0], words)
-    if words.get("photographs") is not None:
-        raise UsageError(f"--photographs applies only to {_PAGE} outputs: use --cameras for splats")
+    apply_only(words, ("photographs",), f"{_PAGE} outputs: use --cameras for splats")
     _check_splats(file, paths, _PAGE)
-    if words.get("spz_bits") is not None and not any(path.suffix.lower() == ".spz" for path in paths):
-        raise UsageError("--spz-bits applies only to .spz outputs: omit it")
+    if not any(path.suffix.lower() == ".spz" for path in paths):
+        apply_only(words, ("spz_bits",), ".spz outputs: omit it")
     return _write_splats(_shown(file, words), paths, words, beside=True)
 
 
@@ -315,6 +317,7 @@ def _carried(file: kinds.Place | Scene, paths: list[Path], words: ExportWords) -
     from ..formats.table import FORMATS, carried_scene
     from ..rendering.gaussians import check_static, static_splats
 
+    apply_only(words, ("degree", "cameras", "size", "photographs", "iterations", "spz_bits"), "made Gaussians: omit it")
     name = shown_name(file)
     inside, form = name.lower().endswith(_GLB), words.get("glb", "plain")
     suffix, reason = (_C3GS, f"{name} is a .glb") if inside else (_GLB, f"--glb {form} is given")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import re
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from numbers import Integral, Real
@@ -37,7 +38,14 @@ def _number(read: type, metavar: str, allowed: str, low: float, high: float = ma
 
 
 def _path(metavar: str) -> WordKind:
-    return WordKind(metavar, "a path", str, lambda value: isinstance(value, str | os.PathLike))
+    return WordKind(metavar, "a path", str, _is_path)
+
+
+def _is_path(value: Any) -> bool:
+    try:
+        return isinstance(value, str | os.PathLike) and b"\0" not in os.fsencode(value)
+    except UnicodeEncodeError:
+        return False
 
 
 def _byte_count(text: str) -> int:
@@ -83,7 +91,7 @@ Lambda = Annotated[float, _number(float, "L", "a number from 0 to 1", 0, 1)]
 # Of scenes that get a codec, and of a fit.
 CodedLambda = Annotated[float, _number(float, "L", "a number above 0 and at most 1", math.ulp(0.0), 1)]
 FitLambda = Annotated[float, _number(float, "L", "a number from 0.000001 to 1", 1e-6, 1)]
-Length = Annotated[float, _number(float, "V", "a number above 0", math.ulp(0.0))]
+Length = Annotated[float, _number(float, "V", "a number above 0", math.ulp(0.0), sys.float_info.max)]
 Decibels = Annotated[float, _number(float, "DB", "a number from 20 to 70", 20, 70)]
 Offset = Annotated[
     str, WordKind("X,Y,Z", "three numbers such as 5e5,5.4e6,0", right=lambda text: place(text) is not None)

@@ -12,7 +12,7 @@ from ..files.outputs import check_apart
 from ..files.stage import write_file
 from ..statuses import refusing
 from . import kinds
-from .command import ReadingWords, Report, command
+from .command import ReadingWords, Report, apply_only, command
 
 if TYPE_CHECKING:
     from .scenes import Scene
@@ -91,6 +91,8 @@ def view(
     from .scenes import Scene
     from .shown import Shown
 
+    if photographs is None:
+        apply_only({"size": size}, ("size",), "photographs: omit it")
     name, path = shown_name(file), file if isinstance(file, str | os.PathLike) else ""
     images: list[dict[str, Any]] = []
     if isinstance(file, Scene) or os.path.isdir(path) or photographs is not None:

@@ -17,7 +17,10 @@ def stated_entries(stated: Sequence[str] | Mapping[str, str]) -> dict[str, str]:
     allow.
     """
     entries = dict(stated) if isinstance(stated, Mapping) else {}
-    for text in () if isinstance(stated, Mapping) else stated:
+    texts = () if isinstance(stated, Mapping) else stated
+    if not isinstance(texts, list | tuple) or not all(isinstance(text, str) for text in texts):
+        raise UsageError(f"metadata must be entries by key, or texts KEY=VALUE, not {stated!r:.60}")
+    for text in texts:
         key, sign, value = text.partition("=")
         entries |= {key: value} if sign else _of_file(Path(text))
     if wrong := [key for key, value in entries.items() if not isinstance(value, str)]:

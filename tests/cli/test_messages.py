@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from cli_inputs import TRAINED, Call, contents, packages, rows
 
@@ -85,11 +86,16 @@ WRONG = rows(
     export trained.c3gs -o scene.ply --photographs photos | --photographs applies only to .html outputs
     export trained.c3gs -o a.ply --glb c3gs | --glb c3gs is given, so the output must be one .glb file
     export trained.c3gs -o a.glb --glb c3gs | the scene is not static
+    export static.c3gs -o a.glb --glb both --degree 1 | --degree applies only to made Gaussians
     export empty.c3gs -o scene.ply | no camera sees a Gaussian | numba
     export trained.c3gs -o scene.ply --spz-bits 6 | --spz-bits applies only to .spz outputs
     export trained.c3gs -o scene.spz --spz-bits 3 | --spz-bits must be a whole number from 4 to 8, not 3
     export static.c3gs -o scene.ply --degree 2 | a static scene, which needs no fit: omit --degree
     export static.c3gs -o scene.ply --cameras x | a static scene, which needs no fit: omit --cameras
+    export trained.c3gs -o a.html --degree 2 | --degree applies only to splats
+    export trained.c3gs -o a.ply --size 40 | --size applies only to photographs
+    render scene.c3gs -o new --size 40 | --size applies only to photographs
+    view scene.c3gs --size 40 | --size applies only to photographs
     view nowhere.c3gs | nowhere.c3gs: No such file
     view scene.c3gs --photographs nothing | nothing | PIL scipy
     view scene.c3gs --port 65536 | --port must be a whole number from 0 to 65535, not 65536
@@ -189,6 +195,13 @@ FIT, CONVERT = {"points": "p", "output": "o"}, {"source": "s", "output": "o"}
         (api.decode, {"file": b"", "chunks": range(3, 3)}, "--chunks must be A:B with A below B"),
         (api.digest, {"file": b"", "limits": 5}, "limits must be refcodec.Limits, not 5"),
         (api.convert, {**CONVERT, "psnr": 10}, "--psnr must be a number from 20 to 70, not 10"),
+        (api.convert, {"source": "\0", "output": "o"}, "--source must be a path, not \0"),
+        (api.convert, {"source": "s", "output": None}, "--output must be a path, not None"),
+        (api.convert, {**CONVERT, "source": ".", "up": np.zeros(2)}, "--up must be +x or -x"),
+        (api.inspect, {"file": b"", "hex": True, "near": np.int64(3)}, "--near is not allowed with --hex"),
+        (api.fit, {**FIT, "voxel": 10**400}, "--voxel must be a number above 0, not 1000"),
+        (api.fit, {**FIT, "meta": [3]}, "metadata must be entries by key, or texts KEY=VALUE, not [3]"),
+        (api.encode, {"scene": "s", "output": "o", "limits": 5}, "limits must be refcodec.Limits, not 5"),
     ],
 )
 def test_python_is_told_the_same(function: Any, arguments: dict[str, Any], message: str) -> None:
