@@ -15,7 +15,8 @@ export function planned(entries, count, budget) {
   // Chunks that keep all come first.
   const order = kept > budget ? quotas.map((_, i) => i) : [];
   for (const i of order.sort((a, b) => shares[b] * quotas[a] - shares[a] * quotas[b])) {
-    const share = shares[i] > 0 ? Math.floor((left * shares[i]) / whole) : 0;
+    // The sum of the shares is rounded, and may be below one of them.
+    const share = shares[i] > 0 ? Math.floor((left * shares[i]) / Math.max(whole, shares[i])) : 0;
     whole -= shares[i];
     left -= quotas[i] = Math.min(quotas[i], share);
   }

@@ -26,9 +26,9 @@ const byId = (id) => document.getElementById(id);
 
 // The most Gaussians that are drawn: `budget` of the address, or what suits the device.
 function budgetOf(search) {
-  const asked = Number.parseInt(new URLSearchParams(search).get("budget"), 10);
+  const asked = Number(new URLSearchParams(search).get("budget") || NaN);
   const isSmall = matchMedia("(pointer: coarse)").matches || navigator.deviceMemory < 4;
-  return asked >= 0 ? asked : BUDGET[isSmall ? "small" : "large"];
+  return asked >= 0 ? Math.floor(asked) : BUDGET[isSmall ? "small" : "large"];
 }
 
 // Unpacks the bytes in an element of the page.

@@ -185,7 +185,7 @@ export class Gaussians {
   enlarge(view) {
     const { positions: p, scales: l, count } = view;
     this.#check(SEEN * (p.length / 3) + 8 * count + CHUNK * this.scene.header.chunk_count);
-    const least = this.anchorCount / this.scene.header.anchor_count;
+    const least = Math.min(1, this.anchorCount / this.scene.header.anchor_count);
     const there = new Set(this.chunks.map(({ number }) => number));
     const boxes = Array.from(this.scene.entries(), ({ number, count, low, high }) => {
       const sides = Array.from(high, (x, i) => x - low[i]);
@@ -194,10 +194,17 @@ export class Gaussians {
     });
     const area = (i) => Math.max(l[i] * l[i + 1], l[i + 1] * l[i + 2], l[i + 2] * l[i]);
     const middle = Float64Array.from({ length: count }, (_, i) => area(3 * i)).sort()[count >> 1];
+    const run = 64;
+    let near = boxes;
     for (let i = 0; i < 3 * count; i += 3) {
+      // Gaussians that follow each other are near each other: only the chunks around a run are asked for.
+      if (i % (3 * run) === 0) {
+        const own = boundsOf(p.subarray(i, Math.min(i + 3 * run, 3 * count)));
+        near = boxes.filter(({ low, high }) => low.every((x, a) => x <= own.high[a] && high[a] >= own.low[a]));
+      }
       let [here, all] = [0, 0];
       const [x, y, z] = [p[i], p[i + 1], p[i + 2]];
-      for (const { low, high, has, density } of boxes) {
+      for (const { low, high, has, density } of near) {
         if (x < low[0] || x > high[0] || y < low[1] || y > high[1] || z < low[2] || z > high[2]) continue;
         all += density;
         if (has) here += density;

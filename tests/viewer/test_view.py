@@ -1,6 +1,7 @@
 """`refcodec view` and its server, and `refcodec export -o scene.html`."""
 
 import io
+import json
 import os
 import queue
 import re
@@ -18,6 +19,7 @@ from pathlib import Path
 
 import pytest
 
+from refcodec import viewer
 from refcodec.cli.main import main
 from refcodec.viewer.bundle import bundle
 from refcodec.viewer.server import Server
@@ -219,3 +221,13 @@ def test_forms_that_no_bundle_has(text: str, message: str, tmp_path: Path) -> No
     (tmp_path / "other.js").write_text("export const a = 1;\n")
     with pytest.raises(ValueError, match=message):
         bundle(tmp_path / "module.js")
+
+
+@pytest.mark.skipif(shutil.which("node") is None, reason="there is no node here")
+def test_a_budget_is_kept() -> None:
+    """Also if the bounds of one chunk are larger than those of all others together by more than 2^53."""
+    module = (Path(viewer.__file__).parent / "budget.js").as_uri()
+    chunks = [{"number": i, "kept": 9, "low": [0] * 3, "high": [side] * 3} for i, side in enumerate([1e9, 1e-4, 1e-4])]
+    program = f"console.log((await import('{module}')).planned({json.dumps(chunks)}, 3, 5).quotas.join())"
+    done = subprocess.run(["node", "--input-type=module", "-e", program], capture_output=True, check=True)
+    assert done.stdout == b"5,0,0\n"
