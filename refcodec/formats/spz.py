@@ -186,6 +186,7 @@ def _unpacked(data: Data, count: int, sizes: list[int]) -> bytes:
     return b"".join(streams)
 
 
+@np.errstate(invalid="ignore")
 def _splats(version: int, fraction: int, parts: _Parts) -> Splats:
     """Returns the Gaussians of the bytes of their parts."""
     count = len(parts.position)
