@@ -368,7 +368,15 @@ def test_the_formulas_of_the_prose(spec: dict) -> None:
     (rounded,) = [f for f in formulas("2.4") if "floor" in f]
     (scaled,) = formulas("7.2")
     row, centred, *found_at, symbol = formulas("8.5")
+    power, fraction, term = formulas("9.4")
+    (listed,) = re.findall(r"EXP2 is ([\d, \n]+):", section("9.4"))
+    *lower, highest = map(int, listed.split(","))
     for _ in range(200):
+        t = int(rng.integers(-CONSTANTS["SCALING_BOUND"], CONSTANTS["SCALING_BOUND"] + 1))
+        y, m = t * CONSTANTS["LOG2_E"], highest
+        for coefficient in reversed(lower):
+            m = coefficient + value_of(term, m=m, f=value_of(fraction, y=y))
+        assert called("EXPONENTIAL", t) == (m, value_of(power, y=y))
         matrix, p = [integer(1 << 20) for _ in range(9)], [integer(1 << 40) for _ in range(3)]
         frame = {"matrix": matrix, "translation": [integer(1 << 61) for _ in range(3)]}
         frame |= {"shift": rng.integers(0, 61, 3).tolist()}
