@@ -38,7 +38,7 @@ COMMANDS: list[tuple[tuple[str, ...], int]] = [
     (("refcodec", "inspect", "scene.c3gs"), DONE),
     (("refcodec", "rd", "folder", "-o", "new"), USAGE),
     (("refcodec", "reconstruct", "scene.c3gs", "output"), DONE),
-    (("refcodec", "render", "scene.c3gs", "-o", "images", "--size", "8"), DONE),
+    (("refcodec", "render", "scene.c3gs", "-o", "images"), DONE),
     (("refcodec", "train", "--print-settings"), DONE),
     (("refcodec", "validate", "damaged.c3gs"), REJECTED),
     (("refcodec", "view", "none.c3gs", "--no-browser"), USAGE),
