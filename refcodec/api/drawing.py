@@ -58,7 +58,7 @@ def render(
     *,
     cameras: kinds.Cameras = "default",
     size: kinds.Size | None = None,
-    frames: kinds.Positive = 60,
+    frames: kinds.Frames = 60,
     **words: Unpack[ReadingWords],
 ) -> Report:
     """Draw a file.

@@ -82,6 +82,7 @@ SplatCameras = Annotated[StrPath, _path("FILE|PHOTOGRAPHS")]
 FitCameras = Annotated[StrPath, _path("PHOTOGRAPHS")]
 Count = Annotated[int, _number(int, "N", "a whole number of at least 0", 0)]
 Positive = Annotated[int, _number(int, "N", "a whole number of at least 1", 1)]
+Frames = Annotated[int, _number(int, "N", "a whole number from 1 to 100000", 1, 100_000)]
 # The range of all random generators.
 Seed = Annotated[int, _number(int, "S", "a whole number from 0 to 2^63 - 1", 0, (1 << 63) - 1)]
 Degree = Annotated[int, _number(int, "{0,1,2,3}", "a whole number from 0 to 3", 0, 3)]

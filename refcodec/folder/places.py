@@ -115,7 +115,10 @@ def _file_object(place: Any, opened: contextlib.ExitStack) -> tuple[_Named, bool
         if os.path.isdir(place):
             problem = "it is a folder, not a C3GS file; encode a scene folder with refcodec encode"
             raise IsADirectoryError(21, problem, os.fspath(place))
-        file = opened.enter_context(builtins.open(place, "rb"))  # noqa: SIM115
+        try:
+            file = opened.enter_context(builtins.open(place, "rb"))  # noqa: SIM115
+        except ValueError as error:
+            raise UsageError(f"{os.fspath(place)!r} is not a path: {error}") from None
         # Some devices are seekable, but have no length.
         seekable = stat.S_ISREG(os.fstat(file.fileno()).st_mode)
     elif not hasattr(place, "read") or not isinstance(place.read(0), bytes):

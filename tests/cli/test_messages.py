@@ -69,7 +69,7 @@ WRONG = rows(
     inspect scene.c3gs --anchor 6 | there is no anchor 6: the file has 6 anchors, from 0
     explain nonsense | nonsense
     render model -o images | refcodec convert | numba
-    render scene.c3gs -o images --frames 0 | --frames must be a whole number of at least 1, not 0
+    render scene.c3gs -o images --frames 0 | --frames must be a whole number from 1 to 100000, not 0
     eval model photos | refcodec convert | numba
     eval scene.c3gs photos --size wide | 400x300 | numba
     eval scene.c3gs photos --background grey | it is not white, black or R,G,B | numba
@@ -196,6 +196,8 @@ FIT, CONVERT = {"points": "p", "output": "o"}, {"source": "s", "output": "o"}
         (api.digest, {"file": b"", "limits": 5}, "limits must be refcodec.Limits, not 5"),
         (api.convert, {**CONVERT, "psnr": 10}, "--psnr must be a number from 20 to 70, not 10"),
         (api.convert, {"source": "\0", "output": "o"}, "--source must be a path, not \0"),
+        (api.digest, {"file": "a\0"}, "'a\\x00' is not a path: embedded null byte"),
+        (api.render, {"file": "a", "output": "o", "frames": 10**30}, "--frames must be a whole number from 1 to"),
         (api.convert, {"source": "s", "output": None}, "--output must be a path, not None"),
         (api.convert, {**CONVERT, "source": ".", "up": np.zeros(2)}, "--up must be +x or -x"),
         (api.inspect, {"file": b"", "hex": True, "near": np.int64(3)}, "--near is not allowed with --hex"),
