@@ -15,7 +15,10 @@ from . import kinds
 from .command import ReadingWords, Report, command, only_one
 
 if TYPE_CHECKING:
+    from ..bitstream.bounds import Limits
+    from ..bitstream.header import Header
     from ..bitstream.scene import Scene as CodedScene
+    from ..bitstream.source import Source
 
 
 @command()
@@ -155,7 +158,7 @@ def _page(file: kinds.Place, path: Path, words: ReadingWords) -> Report:
     """Writes the page of an accepted file. The file is decoded a few chunks at a time."""
     from ..bitstream.header import read_header
     from ..bitstream.reconstruction import StreamDigest
-    from ..bitstream.source import FileBytes, Source, WholeFile
+    from ..bitstream.source import FileBytes, WholeFile
     from ..files.remote import RemoteFile
     from ..folder.places import check_outputs, decode_stream, reading, shown_name
     from ..inspect import summary
@@ -181,9 +184,26 @@ def _page(file: kinds.Place, path: Path, words: ReadingWords) -> Report:
         measures.finish(scene)
         data = FileBytes(source)
         facts = summary.document(data, digest.finish_parts(scene))
-        document = page(data, Path(shown_name(file)).name, facts, measures)
+        picture = _picture(source, header, left)
+        document = page(data, Path(shown_name(file)).name, facts, measures, picture)
     write_file(path, document)
     return Report([f"{path}: {len(document):,} bytes"], facts)
+
+
+def _picture(source: Source, header: Header, left: Limits) -> bytes | None:
+    """Returns a small image of an accepted file as PNG, or None where it cannot be drawn, or not within the limits."""
+    from ..bitstream.bounds import DRAWING, BoundPassedError
+    from ..bitstream.codec import parse
+    from ..folder.places import COPIES, SPLAT_COPIES
+    from .scenes import DRAWN_ANCHORS, Scene, small_picture
+
+    if header.anchor_count > DRAWN_ANCHORS:
+        return None
+    try:
+        left.beside(DRAWING).check(header, copies=COPIES, gaussians=SPLAT_COPIES)
+    except BoundPassedError:
+        return None
+    return small_picture(Scene(parse(source.read(0, source.length())).scene))
 
 
 def _bytes(data: bytes, near: int | None, words: ReadingWords) -> Report:

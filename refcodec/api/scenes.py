@@ -238,13 +238,8 @@ class Scene:
 
     def _picture(self) -> bytes | notebook.Points | None:
         """Returns an image of the scene as PNG, or some of its points if it cannot be drawn."""
-        if self.anchor_count <= DRAWN_ANCHORS:
-            # The extra `render` is missing, or the scene cannot be drawn.
-            with contextlib.suppress(ModuleNotFoundError, ValueError):
-                from ..rendering.view import png
-
-                camera = next(iter(self.cameras or self.orbit(1)))
-                return png(self.render(_small(camera)))
+        if drawn := small_picture(self):
+            return drawn
         some = self._some_gaussians()
         return notebook.points(some.mean, some.colour, self.coded.render.up_axis)
 
@@ -274,6 +269,18 @@ def read_only(value: Any) -> Any:
 def named_cameras(stated: list[NamedCamera]) -> list[Camera]:
     """Returns cameras of a file, with their names."""
     return [replace(default_camera(camera), name=camera.name) for camera in stated]
+
+
+def small_picture(scene: Scene) -> bytes | None:
+    """Returns a small image of the default view as PNG, or None if the scene is large or cannot be drawn."""
+    if scene.anchor_count > DRAWN_ANCHORS:
+        return None
+    # The extra `render` is missing, or the scene cannot be drawn.
+    with contextlib.suppress(ModuleNotFoundError, ValueError):
+        from ..rendering.view import png
+
+        return png(scene.render(_small(next(iter(scene.cameras or scene.orbit(1))))))
+    return None
 
 
 def _small(camera: Camera) -> Camera:

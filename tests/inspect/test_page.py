@@ -139,6 +139,16 @@ def test_nothing_is_fetched(data: bytes, tmp_path: Path) -> None:
     assert made(data, tmp_path) == first
 
 
+def test_the_scene_is_seen(data: bytes, tmp_path: Path) -> None:
+    """Its picture is left out where a bound of the memory does not allow to draw it."""
+    picture = b'alt="the scene in its default view"'
+    assert picture in made(data, tmp_path)
+    (tmp_path / "a.c3gs").write_bytes(data)
+    words = ["inspect", str(tmp_path / "a.c3gs"), "--html", str(tmp_path / "b.html"), "--max-memory", "150M"]
+    assert main(words) == 0
+    assert picture not in (tmp_path / "b.html").read_bytes()
+
+
 def test_the_bytes_are_those_of_the_json(data: bytes, tmp_path: Path) -> None:
     trained = EXAMPLE.parent / "valid" / "trained-caliterra.c3gs"
     for each in (data, EXAMPLE.read_bytes(), trained.read_bytes()):

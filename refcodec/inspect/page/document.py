@@ -16,7 +16,9 @@ from .measures import SceneMeasures
 PAGE = Kind("a page that inspect wrote", re.compile(rb"<!(?i:doctype) html>\n<!-- refcodec inspect: a C3GS file -->"))
 
 
-def page(data: Bytes, name: str, facts: Mapping[str, Any], measures: SceneMeasures) -> bytes:
+def page(
+    data: Bytes, name: str, facts: Mapping[str, Any], measures: SceneMeasures, picture: bytes | None = None
+) -> bytes:
     """Returns the page of an accepted file. The same arguments give the same bytes.
 
     Args:
@@ -24,6 +26,7 @@ def page(data: Bytes, name: str, facts: Mapping[str, Any], measures: SceneMeasur
         name: the name of the file.
         facts: those of summary.document.
         measures: of the whole file, after `finish`.
+        picture: of the scene, as PNG.
     """
     outline = outline_of(data)
     return render(
@@ -32,6 +35,7 @@ def page(data: Bytes, name: str, facts: Mapping[str, Any], measures: SceneMeasur
         facts=facts,
         steps=[str(np.float32(float(step))) for step in facts["header"]["base_step"]],
         m=measures,
+        picture=picture,
         pieces=[piece for piece in file_map.pieces(data, outline) if piece.length],
         chunks_per_piece=file_map.chunks_per_piece(outline),
         bits=anchors.bits(measures),
