@@ -41,6 +41,7 @@ ARGUED = {
     ("ROUND_F32", "n < 0", BEYOND): "0 was returned before",
     ("at", "i < size", BEYOND): "no neighbour is below its point",
     ("CONTRACT", "q <= unit * unit", BEYOND): "the contraction of this length changes nothing",
+    ("CHECK_HEADER", "lower['level'] >= level['level']", BEYOND): "the numbers of levels differ by ten",
 }
 
 # A quantity is reached if its largest magnitude has as many bits as its bound, or one less, or more than 32: no
@@ -48,7 +49,7 @@ ARGUED = {
 SLACK, NARROW = 1, 32
 # Why no vector reaches another quantity.
 TOO_LARGE = {
-    "u (s - 1)": "planes of 1024 are a trial, not a vector",
+    "u (s - 1)": "the blocks take too long for the vector with planes of 1024",
     "raw bits of a substream": "half a gigabyte",
     "grid exponent of any row, as a sum before the check": "the blocks stop at the first row out of range",
 }
