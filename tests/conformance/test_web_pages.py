@@ -175,11 +175,11 @@ def _agreement(one: np.ndarray, other: np.ndarray) -> float:
     return float(10 * np.log10(255**2 / max(np.mean((one.astype(np.float64) - other) ** 2), 1e-9)))
 
 
-@pytest.mark.parametrize("alpha_max", [0.99, 1.0])
+@pytest.mark.parametrize("alpha_max", [0.5, 0.99])
 def test_the_viewer_draws_what_render_draws(alpha_max: float, scene: tuple[Scene, list[Any]], tmp_path: Path) -> None:
     """Beyond 50 dB (SPEC.md 14.5), also where an opaque Gaussian ends a pixel and is not in it."""
     found, path = scene
-    if alpha_max == 1 and found.render.render_model:
+    if alpha_max > 0.9 and found.render.render_model:
         # Opaque Gaussians that cover many pixels: the logits are larger by 12, and the logarithms of the lengths by 2.
         networks = dict(found.networks)
         for name, width, more in (("opacity", 1, [12]), ("covariance", 7, [2, 2, 2, 0, 0, 0, 0])):
