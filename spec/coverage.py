@@ -49,7 +49,7 @@ ARGUED = {
 SLACK, NARROW = 1, 32
 # Why no vector reaches another quantity.
 TOO_LARGE = {
-    "u (s - 1)": "the blocks take too long for the vector with planes of 1024",
+    "u (s - 1)": "planes of 1024 are a trial, not a vector",
     "raw bits of a substream": "half a gigabyte",
     "grid exponent of any row, as a sum before the check": "the blocks stop at the first row out of range",
 }
