@@ -57,7 +57,6 @@ void main() {
 const FRAGMENT = `#version 300 es
 precision highp float;
 uniform float alphaMax;
-uniform vec3 background;
 in vec2 at;
 in vec4 paint;
 out vec4 result;
@@ -65,8 +64,7 @@ out vec4 result;
 void main() {
   float alpha = min(paint.w * exp(-dot(at, at) / 2.0), alphaMax);
   if (alpha < 1.0 / 255.0) discard;
-  // 14.5: a Gaussian that would leave less ends the pixel, and is not in it. Of those behind others, this is not known.
-  result = 1.0 - alpha < 1e-4 ? vec4(background, 1.0) : vec4(alpha * paint.rgb, alpha);
+  result = vec4(alpha * paint.rgb, alpha);
 }`;
 
 // 14.6, HARMONICS
@@ -265,7 +263,6 @@ export class Drawing {
     gl.uniform2f(splats.at("size"), width, height);
     gl.uniform1f(splats.at("lowPass"), header.low_pass);
     gl.uniform1f(splats.at("alphaMax"), header.alpha_max);
-    gl.uniform3f(splats.at("background"), red, green, blue);
     gl.enable(gl.BLEND);
     gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
     gl.bindVertexArray(this.array);

@@ -177,10 +177,10 @@ def _agreement(one: np.ndarray, other: np.ndarray) -> float:
 
 @pytest.mark.parametrize("alpha_max", [0.5, 0.99])
 def test_the_viewer_draws_what_render_draws(alpha_max: float, scene: tuple[Scene, list[Any]], tmp_path: Path) -> None:
-    """Beyond 50 dB (SPEC.md 14.5), also where an opaque Gaussian ends a pixel and is not in it."""
+    """Beyond 50 dB (SPEC.md 14.5), also where many Gaussians are as opaque as the file allows."""
     found, path = scene
     if alpha_max > 0.9 and found.render.render_model:
-        # Opaque Gaussians that cover many pixels: the logits are larger by 12, and the logarithms of the lengths by 2.
+        # Gaussians that cover many pixels: the logits are larger by 12, and the logarithms of the lengths by 2.
         networks = dict(found.networks)
         for name, width, more in (("opacity", 1, [12]), ("covariance", 7, [2, 2, 2, 0, 0, 0, 0])):
             *first, (weight, bias) = networks[name]
