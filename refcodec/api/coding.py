@@ -312,13 +312,13 @@ def reconstruct(
     Raises BitstreamError, BoundPassedError and OSError as `decode`.
     """
     from ..bitstream.codec import parse
-    from ..bitstream.reconstruction import DIGEST_MAGIC, digested, pieces
+    from ..bitstream.reconstruction import DIGEST_MAGIC, LATER_MAGIC, digested, pieces
     from ..folder.places import COPIES, TRACE_COPIES, check_outputs, progress_bar, read_whole
     from ..inspect.trace import symbol_trace
 
     if probes and trace is None:
         raise UsageError("--probes needs --trace TRACE")
-    check_outputs([file], (output, Kind.signed("a reconstruction", DIGEST_MAGIC)), (trace, TRACE))
+    check_outputs([file], (output, Kind.signed("a reconstruction", DIGEST_MAGIC, LATER_MAGIC)), (trace, TRACE))
     data = read_whole(file, words, COPIES if trace is None else COPIES + TRACE_COPIES)
     with Stage() as stage:
         if trace:

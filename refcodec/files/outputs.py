@@ -40,9 +40,9 @@ class Kind:
     begins: re.Pattern[bytes]
 
     @classmethod
-    def signed(cls, name: str, signature: bytes) -> Kind:
-        """Returns the kind of the files that begin with a signature."""
-        return cls(name, re.compile(re.escape(signature)))
+    def signed(cls, name: str, *signatures: bytes) -> Kind:
+        """Returns the kind of the files that begin with one of some signatures."""
+        return cls(name, re.compile(b"|".join(map(re.escape, signatures))))
 
 
 def check_file(path: Path, kind: Kind, made: bool = False) -> None:

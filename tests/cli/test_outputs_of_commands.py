@@ -69,7 +69,7 @@ CASES = rows(
     encode scene -o out.c3gs | encode other -o out.c3gs
     decode scene.c3gs -o deep/out | | | slow
     decode scene.c3gs -o out | decode other.c3gs -o out
-    reconstruct scene.c3gs out --trace t | reconstruct other.c3gs out --trace t | | slow
+    reconstruct scene.c3gs out --trace t | reconstruct VECTORS/valid/minor-1-four-bytes.c3gs out --trace t | | slow
     gaussians scene.c3gs camera.json out.json | | | slow
     inspect scene.c3gs --html page.html | inspect other.c3gs --html page.html | | slow
     render scene.c3gs --cameras photos --size 16 -o a | render other.c3gs --cameras photos --size 16 -o a | | DRAW
