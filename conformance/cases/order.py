@@ -68,7 +68,7 @@ _RESERVED = ("reserved", "position_grid.reserved", header.reserved, "position_gr
 _RENDER = ("render-info", "render_info.low_pass", header.render_info, "render_info.low_pass", -1.0)
 _PROFILE, _LATE = (limits.profile, 9), (directory.unknown_section, 0, b"ZZZZ")
 _MANY = (limits.many_features, 64, 63, 1, 1)
-# Level 1 would suffice for the anchors and planes of main_file.
+# Level 10 would suffice for the anchors and planes of main_file.
 _LEVEL = (limits.level_too_high, 20, 0, 2)
 _GRID = "position_grid.reserved"
 _HEADER = [

@@ -19,7 +19,18 @@ from refcodec.inspect.elements import rows
 from .checksums import Depth, layout, repair, resized
 
 # SPEC 5: the types of elements as formats of struct.
-FORMATS = dict(zip(["u8", "u16", "u32", "u64", "i8", "i16", "i32", "i64", "f16", "f32"], "BHIQbhiqef", strict=True))
+FORMATS = {
+    "u8": "<B",
+    "u16": "<H",
+    "u32": "<I",
+    "u64": "<Q",
+    "i8": "<b",
+    "i16": "<h",
+    "i32": "<i",
+    "i64": "<q",
+    "f16": "<e",
+    "f32": "<f",
+}
 
 
 @dataclass(frozen=True)
@@ -144,7 +155,7 @@ class Target:
         return {self.at(path): self._packed(path, value) for path, value in values.items()}
 
     def _packed(self, path: str, value: Any) -> bytes:
-        return value if isinstance(value, bytes) else struct.pack(f"<{FORMATS[self.element(path).kind]}", value)
+        return value if isinstance(value, bytes) else struct.pack(FORMATS[self.element(path).kind], value)
 
     def with_values(self, values: dict[str, Any], depth: Depth = Depth.CHUNKS) -> bytes:
         """Returns the file with other values of elements, and right checksums down to a depth."""

@@ -85,7 +85,7 @@ later = target_of(lambda: replace(drawn("refused-later", 2, SMALLEST), minor=3, 
 
 @target_of
 def main_file() -> Scene:
-    """A file of profile Main, level 1, in mode 1, without anchors and with zero weights."""
+    """A file of profile Main, level 10, in mode 1, without anchors and with zero weights."""
     made = scene("refused-main", 0, MAIN_SMALLEST, position_model=sharp_model())
     zeros = with_weights(made, *((name, slice(None), 0, 0) for name in made.networks), QUIET_SARM[-1])
     return packed_weights(replace(zeros, planes=np.zeros_like(made.planes)))

@@ -22,8 +22,14 @@ from .traces import has_any, lines_of
 
 # The clauses that define the values of a part, and the symbols of a trace with their models.
 PART_CLAUSES = {
-    **{"positions": "9.1, 5.14, 7.12", "masks": "7.6", "planes": "7.3", "weights": "5.8, 7.13", "splat": "9.4"},
-    **dict.fromkeys(("features", "scalings", "offsets"), "9.2, 7.8"),
+    "positions": "9.1, 5.14, 7.12",
+    "masks": "7.6",
+    "planes": "7.3",
+    "features": "9.2, 7.8",
+    "scalings": "9.2, 7.8",
+    "offsets": "9.2, 7.8",
+    "weights": "5.8, 7.13",
+    "splat": "9.4",
 }
 SYMBOL_CLAUSES = {
     "weights": "7.13",
