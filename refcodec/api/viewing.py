@@ -19,18 +19,15 @@ if TYPE_CHECKING:
     from .shown import Shown
 
 
-# Transfer characteristics of linear light (SPEC 6.5), which the page converts.
-LINEAR = 8
-
-
 def write_page(shown: Shown, path: Path, words: Mapping[str, Any]) -> Report:
     """Writes a page that contains the file of a scene. words: those of `view` on photographs."""
-    from ..formats.common import check_colours
+    from ..formats.common import LINEAR, check_colours
     from ..viewer.page import page
 
     # A page of a damaged file would show only the error.
     _ = shown.scene
     with refusing(f"{shown.name} cannot be exported"):
+        # The page encodes linear light (SPEC [G6.5-2]).
         check_colours(shown.render, LINEAR)
     images, reads = _pictures(shown, words)
     check_apart([path], reads)

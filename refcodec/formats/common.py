@@ -47,15 +47,21 @@ BITS_LEAST, BITS, BITS_MOST = 4, 7, 8
 
 # SPEC 6.5, code points of ITU-T H.273: BT.709 primaries and the sRGB curve. 2 is unspecified, and means the same here.
 _PRIMARIES, _TRANSFER = (1, 2), (13, 2)
+# The transfer characteristics of linear light.
+LINEAR = 8
+
+
+def is_shown(render: RenderInfo, *others: int) -> bool:
+    """Whether a scene has colours of sRGB. others: further transfer characteristics that are shown rightly."""
+    return render.colour_primaries in _PRIMARIES and render.transfer_characteristics in (*_TRANSFER, *others)
 
 
 def check_colours(render: RenderInfo, *others: int) -> None:
     """Raises ValueError for a scene whose colours other programs would take for sRGB, though they are not.
 
-    Blending comes before any conversion, so that Gaussians cannot be converted. others: transfer characteristics that
-    are shown rightly, too.
+    Blending comes before any conversion, so that Gaussians cannot be converted. others: as of is_shown.
     """
-    if render.colour_primaries not in _PRIMARIES or render.transfer_characteristics not in (*_TRANSFER, *others):
+    if not is_shown(render, *others):
         allowed = " or ".join(map(str, (_TRANSFER[0], *others)))
         raise ValueError(
             f"its colours have primaries {render.colour_primaries} and transfer characteristics "

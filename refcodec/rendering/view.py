@@ -17,6 +17,7 @@ from ..bitstream.networks import Layer
 from ..bitstream.reconstruction import Reconstruction, reconstruct
 from ..bitstream.scene import Scene
 from ..folder.uncompressed import Uncompressed
+from ..formats.common import LINEAR, is_shown
 from ..formats.splats import Splats
 from .camera import Camera, axis_direction, check_camera, default_camera, looking, scene_up
 from .gaussians import Gaussians, check_render_model, gaussians, static_gaussians, static_splats
@@ -36,8 +37,6 @@ DISTANCE = 2.2
 FRAME_RATE = 15
 # The program name in images.
 MARK = "refcodec"
-# SPEC 6.5, code points of ITU-T H.273: transfer characteristics.
-LINEAR, SRGB = 8, 13
 
 
 def spiral(count: int, lowest: float, highest: float) -> tuple[F64, F64]:
@@ -160,10 +159,10 @@ def encoded(linear: F32) -> F32:
 
 def foreign_colours(info: RenderInfo) -> list[str]:
     """SPEC 6.5: returns a remark on colours that are drawn as if they were those of sRGB, or none."""
-    codes = info.colour_primaries, info.transfer_characteristics
-    if codes[0] in (1, 2) and codes[1] in (2, LINEAR, SRGB):
+    if is_shown(info, LINEAR):
         return []
-    return [f"its colours have the codes {codes[0]} and {codes[1]} of ITU-T H.273, and are drawn as those of sRGB"]
+    codes = f"{info.colour_primaries} and {info.transfer_characteristics}"
+    return [f"its colours have the codes {codes} of ITU-T H.273, and are drawn as those of sRGB"]
 
 
 def eight_bits(image: F32) -> U8:
