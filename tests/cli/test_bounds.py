@@ -217,18 +217,28 @@ def test_what_a_command_takes_is_within_what_it_states(static: bool, anchors: in
     file = place / "many.c3gs"
     file.write_bytes(codec.emit(take_anchors(scene, np.resize(np.arange(scene.anchor_count), anchors))))
     splats = [f"decode FILE --splat new.{suffix}" for suffix in ("ply", "spz", "sog", "glb")] * static
-    splats.append("inspect FILE --html new.html")
+    needed, alone = re.compile(r"may take (\d+) bytes"), {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
+    bounds = []
     for command in (each for each in [*DECODING, *splats] if not lacking(each)):
         line = command.replace("FILE", str(file)).split()
         _, _, refused = call(*line, "--max-memory", "64M")
-        stated = re.search(r"may take (\d+) bytes", refused)
+        stated = needed.search(refused)
         assert stated, command
+        bounds.append(int(stated[1]))
         inside = [str(place / word) if word.startswith("new") or (place / word).exists() else word for word in line[1:]]
-        status, most = measured([line[0], *inside], {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"})
+        status, most = measured([line[0], *inside], alone)
         assert status == 0, command
-        assert most < int(stated[1]), command
+        assert most < bounds[-1], command
         for made in place.glob("new*"):
             shutil.rmtree(made) if made.is_dir() else made.unlink()
+    # A page has a picture where the bound allows drawing. The index states more than the header.
+    page, least = ["inspect", str(file), "--html", str(place / "new.html"), "--max-memory"], str(64 << 20)
+    while stated := needed.search(call(*page, least)[2]):
+        least = stated[1]
+    for bound, pictures in ((least, 0), (str(max(bounds)), 0 if lacking("render FILE") else 1)):
+        status, most = measured([*page, bound], alone)
+        assert (status, (place / "new.html").read_text().count('default view"')) == (0, pictures)
+        assert most < int(bound), bound
     for name, use in ((name, use) for name, use in PYTHON.items() if static or name != "splats"):
         program, bounds = f"import refcodec\nF, L = {str(file)!r}, refcodec.Limits(memory=%d)\n{use}", [0]
         # The index states more than the header.
