@@ -23,18 +23,22 @@ Text = Annotated[str, Meta(min_length=1)]
 Name = Annotated[str, Meta(pattern=r"^[a-z0-9]+(-[a-z0-9]+)*$")]
 Requirement = Annotated[str, Meta(pattern=r"^[RDGE]([0-9]+(\.[0-9]+)*|[A-H](\.[0-9]+)*)-[0-9]+$")]
 Sha256 = Annotated[str, Meta(pattern=r"^[0-9a-f]{64}$")]
-Place = Annotated[str, Meta(pattern=r"^(valid|malformed|invalid|unsupported|resource)/[a-z0-9-]+\.(c3gs|json)$")]
+Place = Annotated[str, Meta(pattern=r"^(valid|malformed|invalid|unsupported|resource)/[a-z0-9-]+\.(c3gs|json|pfm)$")]
 Count = Annotated[int, Meta(ge=0)]
 Positive = Annotated[int, Meta(ge=1)]
 # The parts of each scene, and that of a static one (SPEC 9.3).
 _PARTS = {"head", "positions", "masks", "planes", "features", "scalings", "offsets", "weights"}
 _MORE = {"splat"}
 Class = Literal["valid", "malformed", "invalid", "unsupported", "resource"]
-Operation = Literal["decode", "gaussians"]
+Operation = Literal["decode", "gaussians", "render"]
 
 
 class ManifestError(Exception):
     """A manifest is not of its form, or contradicts itself."""
+
+
+# The operation of each result that is not of a decoder.
+OPERATIONS = {"gaussians": "gaussians", "image": "render", "undrawn": "render"}
 
 
 class Strict(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -83,6 +87,20 @@ class GaussiansOf(Strict, frozen=True, tag="gaussians", tag_field="result"):
     tolerance: Annotated[float, Meta(gt=0)]
 
 
+class ImageOf(Strict, frozen=True, tag="image", tag_field="result"):
+    """The image of a camera is like a reference image (SPEC [G14.5-1]). path, sha256: of the latter, a PFM file."""
+
+    camera: dict[str, Any]
+    path: Place
+    sha256: Sha256
+
+
+class Undrawn(Strict, frozen=True, tag="undrawn", tag_field="result"):
+    """A renderer draws nothing (SPEC [G6.5-1])."""
+
+    camera: dict[str, Any]
+
+
 class Budget(Strict, frozen=True):
     """The most time, in seconds, and the most memory of a process, in bytes, that a decoder may take."""
 
@@ -114,7 +132,7 @@ class Vector(Strict, frozen=True, rename={"klass": "class"}):
     requirements: Annotated[tuple[Requirement, ...], Meta(min_length=1)]
     flags: tuple[Name, ...]
     input: Input
-    expectation: Accepted | Rejected | GaussiansOf
+    expectation: Accepted | Rejected | GaussiansOf | ImageOf | Undrawn
     budget: Budget
     licence: Literal["CC0-1.0", "MIT"]
     generator: Generator
@@ -159,9 +177,12 @@ def _faults(manifest: Manifest) -> Iterator[str]:
         yield from (f"{name} is not defined in {kind}" for name in sorted(used - known))
         yield from (f"no vector has {name} of {kind}" for name in sorted(known - used))
     for v in vectors:
-        rejected, gaussians = isinstance(v.expectation, Rejected), isinstance(v.expectation, GaussiansOf)
+        rejected, operation = (
+            isinstance(v.expectation, Rejected),
+            OPERATIONS.get(str(v.expectation.__struct_config__.tag), "decode"),
+        )
         right = {"valid": not rejected, "resource": True}.get(v.klass, rejected)
-        if not right or gaussians != (v.operation == "gaussians"):
+        if not right or operation != v.operation:
             yield f"{v.id}: class {v.klass} and operation {v.operation} with another result"
         if any(len(set(names)) < len(names) for names in (v.features, v.requirements, v.flags)):
             yield f"{v.id}: a name is repeated"

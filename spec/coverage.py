@@ -31,7 +31,7 @@ LINE, TRUE, FALSE = "is not run", "is never true", "is never false"
 AT, BEYOND = "never just holds", "never just fails"
 KINDS = {"statements": {LINE}, "outcomes of conditions": {TRUE, FALSE}, "bounds of comparisons": {AT, BEYOND}}
 ANY_FILE = "any file"
-# Functions of images, which no vector has: tests/rendering compares the renderer with them.
+# Functions of images: wrong ones are planted there, and an image vector shows each.
 IMAGES = {"ROTATION", "PRODUCT", "PROJECT", "PIXEL"}
 # Functions that compare real numbers, which have no next number.
 REAL = IMAGES | {"GAUSSIANS", "NORMALISED", "LOGISTIC"}
@@ -104,7 +104,7 @@ class Site:
     def argued(self) -> str | None:
         """Returns why no vector need reach it, or None."""
         if self.function in IMAGES:
-            return "images: tests/rendering"
+            return "images: tests/conformance/test_renderers.py"
         return ARGUED.get((self.function, self.text, self.kind))
 
 

@@ -1,32 +1,44 @@
-"""Cases of clause 14: Gaussians for cameras (14.3), by SPEC.md's blocks in binary64."""
+"""Cases of clause 14: Gaussians (14.3) and images (14.5) for cameras, by SPEC.md's blocks in binary64."""
 
 import json
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import replace
 from functools import cache, partial
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from refcodec.bitstream import codec
+from refcodec.bitstream.cameras import cameras
 from refcodec.bitstream.dimensions import STATIC
 from refcodec.bitstream.header import PositionGrid
 from refcodec.bitstream.reconstruction import gaussians as splat_of
 from refcodec.bitstream.reconstruction import reconstruct
-from refcodec.rendering.camera import read_camera
+from refcodec.bitstream.scene import Scene
+from refcodec.bitstream.splat import OUTPUT_BITS
+from refcodec.rendering.camera import Camera, default_camera, read_camera
 from refcodec.rendering.gaussians import RENDERING
+from refcodec.rendering.view import pfm
 
 from .. import spec_decoder
+from ..manifest import VECTORS
 from . import static
 from .numbers import Numbers
-from .scenes import TINY_DIMENSIONS, drawn_symbols, lattice, scene
-from .table import Seen, valid
+from .scenes import TINY_DIMENSIONS, drawn_symbols, lattice, scene, with_symbols
+from .table import More, Seen, valid
 from .weights import BASE_STEPS, dyadic, with_weights
 
+Vector3 = tuple[float, float, float]
+F64 = NDArray[np.float64]
 # SPEC [G14.3-1]: of means, axis lengths, quaternions, opacities and colours.
 TOLERANCE = 1e-4
 # Enough digits for the tolerance, but few enough to hide the last bit of a machine's exp.
 DIGITS = 9
+# The levels of a reference image, and the exponent, times -2, beyond which a Gaussian is not looked at.
+LEVELS, FAR = 1 << 16, 40.0
 
 
 @cache
@@ -37,15 +49,27 @@ def _text() -> dict[str, Any]:
 def expected(data: bytes, camera: dict[str, Any], text: dict[str, Any] | None = None) -> bytes:
     """Returns the list of Gaussians of a file for a camera, as JSON. text: the names of SPEC.md's blocks, if known."""
     text = _text() if text is None else text
-    scene = codec.parse(data).scene
-    values, centre = reconstruct(scene), read_camera(json.dumps(camera)).centre.tolist()
+    rows = []
+    for (anchor, offset), place, gaussian in seen(codec.parse(data).scene, read_camera(json.dumps(camera)), text):
+        kinds = ("mean", "lengths", "quaternion", "opacity", "colour")
+        values = {kind: _rounded(value) for kind, value in zip(kinds, gaussian, strict=True)}
+        reach = {} if place is None else {"reach": _rounded(math.dist(place, gaussian[0]))}
+        rows.append({"anchor": anchor, "offset": offset, **values, **reach})
+    return (json.dumps({"gaussians": rows}, separators=(",", ":")) + "\n").encode()
+
+
+def seen(
+    scene: Scene, camera: Camera, text: dict[str, Any]
+) -> Iterator[tuple[tuple[int, int], list[float] | None, tuple[Any, ...]]]:
+    """Yields the Gaussians for a camera: anchor and offset, its anchor's position unless it is static, its numbers."""
+    values, centre = reconstruct(scene), camera.centre.tolist()
     if scene.render.render_model == STATIC:
-        places = np.argwhere(scene.masks).tolist()
-        numbers = splat_of(scene).astype(np.float64).tolist()
-        seen = [text["STATIC_GAUSSIAN"](each, centre) for each in numbers]
-        return _document([_row(n, k, each) for (n, k), each in zip(places, seen, strict=True)])
+        for (n, k), each in zip(np.argwhere(scene.masks).tolist(), splat_of(scene).astype(float).tolist(), strict=True):
+            # SPEC 14.6: an exponential that overflows is infinite, and its Gaussian is not drawn (14.4).
+            with suppress(OverflowError):
+                yield (n, k), None, text["STATIC_GAUSSIAN"](each, centre)
+        return
     networks = {name: [(w.tolist(), b.tolist()) for w, b in scene.networks[name]] for name in RENDERING}
-    lines = []
     for n in range(scene.anchor_count):
         rows = (
             getattr(values, name)[n].astype(np.float64).tolist()
@@ -57,19 +81,55 @@ def expected(data: bytes, camera: dict[str, Any], text: dict[str, Any] | None = 
             # One offset at a time, so that the offset of each Gaussian is known.
             alone = [kept and i == k for i, kept in enumerate(mask)]
             unit = scene.render.distance_unit
-            seen = text["GAUSSIANS"](networks, position, feature, scaling, offsets, alone, centre, unit)
-            lines += [_row(n, k, gaussian) for gaussian in seen]
-    return _document(lines)
+            for gaussian in text["GAUSSIANS"](networks, position, feature, scaling, offsets, alone, centre, unit):
+                yield (n, k), position, gaussian
 
 
-def _row(anchor: int, offset: int, gaussian: tuple[Any, ...]) -> dict[str, Any]:
-    kinds = ("mean", "lengths", "quaternion", "opacity", "colour")
-    values = {kind: _rounded(value) for kind, value in zip(kinds, gaussian, strict=True)}
-    return {"anchor": anchor, "offset": offset, **values}
+Projected = tuple[float, float, float, tuple[float, float, float]]
 
 
-def _document(rows: list[dict[str, Any]]) -> bytes:
-    return (json.dumps({"gaussians": rows}, separators=(",", ":")) + "\n").encode()
+def drawn(
+    scene: Scene,
+    camera: Camera,
+    text: dict[str, Any],
+    key: Callable[[Projected, Camera], Any] = lambda seen, _: seen[2],
+) -> F64:
+    """Returns the image of PIXEL (SPEC [G14.5-1]), float64 [height, width, 3]. key: orders the Gaussians."""
+    info, each = scene.render, []
+    f: dict[str, Any] = {"size": (camera.width, camera.height)}
+    f |= {"focal": (camera.fx, camera.fy), "principal_point": (camera.cx, camera.cy)}
+    f |= {"rotation": camera.rotation.tolist(), "translation": camera.translation.tolist()}
+    for _, _, (mean, lengths, quaternion, opacity, colour) in seen(scene, camera, text):
+        # SPEC 14.4
+        if not np.isfinite([*mean, *lengths, *quaternion, opacity, *colour]).all():
+            continue
+        projected = text["PROJECT"](mean, lengths, quaternion, f, info.near_plane, info.low_pass)
+        if projected is not None and np.isfinite([*projected[:3], *projected[3]]).all():
+            each.append((projected, opacity, colour))
+    each.sort(key=lambda gaussian: key(gaussian[0], camera))
+    background = [value / 255 for value in info.background]
+    x, y = np.arange(camera.width) + 0.5, np.arange(camera.height)[:, None] + 0.5
+    # Far below 1/255, a Gaussian changes no pixel. The list of each pixel leaves it out.
+    near = np.zeros((len(each), camera.height, camera.width), bool)
+    for number, ((u, v, _, (a, b, c)), _, _) in enumerate(each):
+        near[number] = a * (x - u) ** 2 + 2 * b * (x - u) * (y - v) + c * (y - v) ** 2 < FAR
+    return np.array(
+        [
+            [
+                text["PIXEL"](
+                    i + 0.5, j + 0.5, [each[n] for n in np.flatnonzero(near[:, j, i])], background, info.alpha_max
+                )
+                for i in range(camera.width)
+            ]
+            for j in range(camera.height)
+        ]
+    )
+
+
+def reference_image(data: bytes, camera: dict[str, Any]) -> bytes:
+    """Returns the image of a file for a camera as a PFM file, which hides the last bit of a machine's exp."""
+    pixels = drawn(codec.parse(data).scene, read_camera(json.dumps(camera)), _text())
+    return pfm((np.round(pixels * LEVELS) / LEVELS).astype(np.float32))
 
 
 def _rounded(value: Any) -> Any:
@@ -77,8 +137,7 @@ def _rounded(value: Any) -> Any:
     return [_rounded(x) for x in value] if isinstance(value, list) else float(f"{value:.{DIGITS}g}")
 
 
-@cache
-def _file() -> bytes:
+def _made() -> Scene:
     numbers, d = Numbers("cameras"), replace(TINY_DIMENSIONS, offset_count=5, render_width=8)
     where, grid = lattice(numbers, 12), PositionGrid((0, 0, 0), 1, 0)
     made = scene("cameras", 12, d, positions=where, base_step=(0.0625, 0.0625, 0.25), grid=grid)
@@ -89,7 +148,43 @@ def _file() -> bytes:
             b[:] = dyadic(numbers.integers(-99, 99, len(b)), 7)
     # One offset has a quaternion of length 0.
     with_weights(made, BASE_STEPS, ("covariance.-1", slice(3, 7), 0, 0))
-    return codec.emit(drawn_symbols(made, partial(numbers.integers, -25, 9)))
+    return drawn_symbols(made, partial(numbers.integers, -25, 9))
+
+
+@cache
+def _file() -> bytes:
+    return codec.emit(_made())
+
+
+# Values that no encoder's scene has by default.
+ODD: dict[str, Any] = {"background": (255, 128, 51), "near_plane": 1.75, "alpha_max": 0.75, "low_pass": 0.1}
+
+
+@cache
+def drawable(kind: str) -> bytes:
+    """Returns the file valid-KIND. Those that are made have odd render information."""
+    _, _, degree = kind.rpartition("-")
+    if not kind.startswith("drawn"):
+        return (VECTORS / "valid" / f"{kind}.c3gs").read_bytes()
+    if degree == "drawn":
+        made = _made()
+        (w, b), (_, c) = made.networks["opacity"][-1], made.networks["covariance"][-1]
+        w[:], b[:], c[:] = w * 4, b + 1, c + 2
+    else:
+        ties = degree == "ties"
+        numbers, made = Numbers(kind), static.ordinary(kind, 12, static.DEGREES[0 if ties else int(degree)])
+        anchors, offsets = made.anchor_count, made.dimensions.offset_count
+        made.networks["opacity"][-1][1][:] += 3 << OUTPUT_BITS
+        # Pixels above 1.
+        made.networks["colour"][-1][1].reshape(offsets, -1)[:, :3] += (3 << OUTPUT_BITS) * (degree == "1")
+        # Four anchors in one place: Gaussians of equal depth, as their offsets are 0.
+        made = replace(made, positions=made.positions[np.arange(anchors) // 4]) if ties else made
+        made = with_symbols(
+            made,
+            scalings=numbers.integers(-30, 4, anchors, 6),
+            offsets=numbers.centred(0 if ties else 6, anchors, offsets, 3),
+        )
+    return codec.emit(replace(made, render=replace(made.render, **ODD)))
 
 
 def _within() -> list[float]:
@@ -116,6 +211,32 @@ def _seen(name: str, make: Callable[[], bytes], view: str) -> Seen:
     return Seen(name, make(), {**size, "rotation": rotation, "translation": translation})
 
 
+def _looked_at(
+    kind: str, eye: Vector3, target: Vector3, up: Vector3, focal: tuple[float, float] = (50.0, 38.0)
+) -> Seen:
+    """Returns an image whose principal point is far from its middle."""
+    looking = Camera.look_at(eye, target, up, 48, 36, 1.0)
+    return _image(kind, replace(looking, fx=focal[0], fy=focal[1], cx=10.5, cy=24.25))
+
+
+def _stated(kind: str, number: int, width: int, height: int) -> Seen:
+    """Returns the image of a camera of the file at another size."""
+    scene = codec.parse(drawable(kind)).scene
+    return _image(kind, default_camera(cameras(scene.ancillary)[number]).resized(width, height))
+
+
+def _image(kind: str, c: Camera) -> Seen:
+    lens = {"width": c.width, "height": c.height, "focal": [c.fx, c.fy], "principal_point": [c.cx, c.cy]}
+    placed = {"rotation": _rounded(c.rotation.tolist()), "translation": _rounded(c.translation.tolist())}
+    return Seen(f"valid-{kind}", drawable(kind), {**lens, **placed}, "image")
+
+
+def _undrawn() -> Seen:
+    return replace(_seen("valid-render-model-2", partial(drawable, "render-model-2"), "ahead"), result="undrawn")
+
+
+_FROM, _TO, _UP = (0.0, 0.0, -7.0), (1.0, 0.0, 0.0), (0.0, -1.0, 0.0)
+_ROLLED = (5.0, -6.0, 3.0), _TO, (1.0, -1.0, 0.3)
 # fmt: off
 CASES = [
     *valid("cameras", "", "D9.1-1 D9.2-1", ("cameras", "a scene that cameras look at", _file)),
@@ -124,4 +245,27 @@ CASES = [
     *valid("cameras static", "direction-sign harmonics", "", *(
         (f"static-camera-{view}", f"a static scene, and {text}", _seen, "valid-static-degree-3",
          partial(static.of_degree, 3), view) for view, (text, _, _) in VIEWS.items())),
+    *valid("cameras", "", "D9.1-1 D9.2-1",
+        ("drawn", "a scene with odd render information", drawable, "drawn")),
+    *valid("cameras static", "", "D9.4-1", *(
+        (f"drawn-{name}", f"a static scene with odd render information, {what}", drawable, f"drawn-{name}")
+        for name, what in (*((d, f"degree {d}") for d in range(4)), ("ties", "Gaussians of equal depth")))),
+    *valid("trained main static packed-positions packed-weights", "", "D7.2-1 D9.4-1",
+        ("trained-static", "a static scene of 4,309 anchors learnt from aerial photographs", drawable, "trained-static",
+         More(seconds=120))),
+    *valid("images", "constants-of-3dgs projection", "",
+        ("image-drawn", "odd values of everything that a renderer must know", _looked_at, "drawn", _FROM, _TO, _UP),
+        ("image-rolled", "a rolled camera beside the scene", _looked_at, "drawn", *_ROLLED),
+        ("image-within", "a camera amid the Gaussians", _looked_at, "drawn", (0.5, 0.25, -1.5), (1.0, 0.0, 1.0), _UP),
+        ("image-trained", "a camera of a trained file, at another size", _stated, "trained-caliterra", 0, 48, 36)),
+    *valid("images static", "constants-of-3dgs projection harmonics", "", *(
+        (f"image-degree-{d}", f"a static scene of degree {d}", _looked_at, f"drawn-{d}", _FROM, _TO, _UP)
+        for d in range(4)),
+        ("image-ties", "Gaussians of equal depth", _looked_at, "drawn-ties", _FROM, _TO, _UP),
+        ("image-static-rolled", "a static scene, and a rolled camera beside it", _looked_at, "drawn-3", *_ROLLED),
+        ("image-static", "a camera of a trained static file, at another size", _stated, "trained-static", 1, 48, 36),
+        ("image-static-near", "a camera near trained Gaussians", _looked_at, "trained-static", (-0.7, -1.0, 3.4),
+         (1.0, 0.0, 5.0), (0.0, -1.0, 0.2)),
+        ("image-infinite", "infinite Gaussians, which are not drawn", _looked_at, "static-long", _FROM, _TO, _UP)),
+    *valid("images", "render-model", "", ("image-model-2", "a render model that no renderer knows", _undrawn)),
 ]

@@ -5,6 +5,7 @@ FEATURES = {
     "header": "fields of the header (5.2)",
     "dimensions": "dimensions other than the usual ones (5.3)",
     "position-grid": "the grid that positions stand on (5.4)",
+    "images": "what a camera sees, as an image (14.5)",
     "render-info": "what renderers need (5.5)",
     "directory": "types, lengths, checksums and padding of sections (5.6)",
     "ancillary": "sections that a decoder passes over (12.1)",

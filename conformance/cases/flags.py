@@ -24,6 +24,8 @@ FLAGS = {
     "level-not-minimal": "accepts a level that is higher than it has to be",
     "header-slack": "does not demand that the fields fill the header",
     "static-part": "leaves the Gaussians of a static scene out of a digest, or computes them in floating point",
+    "constants-of-3dgs": "draws with the constants of 3DGS instead of those of the file",
+    "projection": "projects or orders Gaussians in another way",
     "harmonics": "takes the harmonics in another order or for another direction",
     "render-model": "refuses to decode a scene that it cannot draw",
     "type-letters": "takes types with other bytes than letters",

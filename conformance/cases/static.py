@@ -25,7 +25,7 @@ DEGREES = RENDER_MODELS[STATIC][1]
 RENDER = RenderInfo(render_model=STATIC)
 
 
-def _scene(name: str, anchors: int = 9, outputs: int = 12, offsets: int = TINY_DIMENSIONS.offset_count) -> Scene:
+def ordinary(name: str, anchors: int = 9, outputs: int = 12, offsets: int = TINY_DIMENSIONS.offset_count) -> Scene:
     """Returns a scene of ordinary sizes: features fill the range of activations, outputs are below 16."""
     numbers, d = Numbers(name), replace(TINY_DIMENSIONS, view_inputs=0, colour_outputs=outputs, offset_count=offsets)
     where, grid = lattice(numbers, anchors), PositionGrid((0, 0, 0), 1, 0)
@@ -41,7 +41,7 @@ def _scene(name: str, anchors: int = 9, outputs: int = 12, offsets: int = TINY_D
 @cache
 def of_degree(degree: int) -> bytes:
     """Returns a static file with harmonics of a degree."""
-    return codec.emit(_scene(f"static-degree-{degree}", 9, DEGREES[degree]))
+    return codec.emit(ordinary(f"static-degree-{degree}", 9, DEGREES[degree]))
 
 
 @cache
@@ -52,11 +52,11 @@ def target() -> Target:
 
 def _packed() -> Scene:
     # A bias of -0 cannot be packed.
-    return packed_weights(with_weights(_scene("static-packed"), ("colour.0", 0, None, -0.0)))
+    return packed_weights(with_weights(ordinary("static-packed"), ("colour.0", 0, None, -0.0)))
 
 
 def _of_steps(name: str, step: float) -> Scene:
-    made, largest = replace(_scene(name, 12, 3), base_step=(step,) * 3), (1 << 23) - 1
+    made, largest = replace(ordinary(name, 12, 3), base_step=(step,) * 3), (1 << 23) - 1
     with_weights(made, ("hyper.-1", slice(-3, None), None, 63 if step > 1 else 0))
     values = [0, 1, -1, 3, -77, largest, -largest]
     return drawn_symbols(made, partial(Numbers(f"{name}/symbols").chosen, values))
@@ -64,13 +64,13 @@ def _of_steps(name: str, step: float) -> Scene:
 
 def _turned() -> Scene:
     turned = ("covariance.-1", slice(3, 7), 0, 0), ("covariance.-1", slice(10, 14), 0, (0, 0, -1, 0))
-    made = with_weights(_scene("static-turned"), *turned)
+    made = with_weights(ordinary("static-turned"), *turned)
     return replace(made, masks=np.ones_like(made.masks))
 
 
 def _one_of_four() -> Scene:
     """Offset k has a quaternion whose number k alone is not 0."""
-    made = _scene("static-one-of-four", 5, offsets=4)
+    made = ordinary("static-one-of-four", 5, offsets=4)
     weight, bias = made.networks["covariance"][-1]
     for k in range(4):
         weight[7 * k + 3 : 7 * k + 7], bias[7 * k + 3 : 7 * k + 7] = 0, np.eye(4)[k] * (k - 1.5)
@@ -79,7 +79,7 @@ def _one_of_four() -> Scene:
 
 def _long_outputs() -> Scene:
     """Outputs of all three networks have up to 24 bits, of either sign."""
-    made = _scene("static-long-outputs", 3)
+    made = ordinary("static-long-outputs", 3)
     for network in RENDERING:
         weight, bias = made.networks[network][-1]
         weight[:], bias[:] = 0, np.resize([(1 << 24) - 1, 1 - (1 << 24), (1 << 23) + 5, -(1 << 16)], len(bias))
@@ -103,7 +103,7 @@ def _cancelled(name: str, exponent: int, signs: int) -> Scene:
 
 def _with_lengths(name: str, anchors: int) -> Scene:
     """Returns a scene that keeps all offsets. A step of scalings is 2^-16."""
-    made = _scene(name, anchors)
+    made = ordinary(name, anchors)
     return replace(made, masks=np.ones_like(made.masks), base_step=(0.5, 2.0**-16, 0.25))
 
 
@@ -148,7 +148,7 @@ CASES = [
         for degree in range(len(DEGREES)))),
     *valid("static reconstruction", "static-part value-rounding", "D9.4-1 D9.3-1 R11.1-2",
         ("static-packed", "a static scene in mode 1, one layer raw", _packed),
-        ("static-empty", "a static scene without anchors", _scene, "static-empty", 0),
+        ("static-empty", "a static scene without anchors", ordinary, "static-empty", 0),
         ("static-far", "features, scalings and offsets beyond what 9.4 limits", _of_steps, "static-far", 2.0**60),
         ("static-near", "the least features, scalings and offsets", _of_steps, "static-near", 2.0**-60),
         ("static-turned", "quaternions of zeros, and one with a single number", _turned),

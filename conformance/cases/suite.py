@@ -16,8 +16,8 @@ from refcodec.files.stage import exchange, new_file
 from refcodec.inspect.trace import symbol_trace
 from refcodec.statuses import UsageError
 
-from ..manifest import MANIFEST, SCHEMA, VECTORS
-from .cameras import TOLERANCE, expected
+from ..manifest import MANIFEST, OPERATIONS, SCHEMA, VECTORS
+from .cameras import TOLERANCE, expected, reference_image
 from .fault import Refused
 from .features import FEATURES
 from .flags import FLAGS
@@ -80,11 +80,18 @@ def vectors(recipes: Iterable[Recipe]) -> Iterator[tuple[dict[str, Any], dict[st
         files: dict[str, bytes] = {}
         if isinstance(made, Seen):
             path, data = path_of(made.id), made.data
-            listed, rows = path.replace(".c3gs", f"-{recipe.name}.json"), expected(data, made.camera)
-            files[listed] = rows
-            expectation: dict[str, Any] = {"result": "gaussians", "camera": made.camera, "path": listed}
-            expectation |= {"sha256": _sha256(rows), "tolerance": TOLERANCE}
-            proved = ["G14.6-1" if "static" in recipe.features else "G14.3-1"]
+            expectation: dict[str, Any] = {"result": made.result, "camera": made.camera}
+            listed = path.replace(".c3gs", f"-{recipe.name}.{'json' if made.result == 'gaussians' else 'pfm'}")
+            if made.result == "undrawn":
+                proved = ["G6.5-1"]
+            elif made.result == "image":
+                files[listed] = reference_image(data, made.camera)
+                proved = ["G14.5-1"]
+            else:
+                files[listed] = expected(data, made.camera)
+                proved = ["G14.6-1" if "static" in recipe.features else "G14.3-1"]
+            expectation |= {"path": listed, "sha256": _sha256(files[listed])} if files else {}
+            expectation |= {"tolerance": TOLERANCE} if made.result == "gaussians" else {}
         elif isinstance(made, Refused):
             files[path] = data = made.data
             expectation = _rejected(recipe, made)
@@ -98,7 +105,7 @@ def vectors(recipes: Iterable[Recipe]) -> Iterator[tuple[dict[str, Any], dict[st
             {
                 "id": recipe.id,
                 "title": recipe.title,
-                "operation": "gaussians" if isinstance(made, Seen) else "decode",
+                "operation": OPERATIONS.get(expectation["result"], "decode"),
                 "class": recipe.klass,
                 "profile": profile,
                 "level": level,

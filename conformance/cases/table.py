@@ -22,7 +22,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
-from typing import Any
+from typing import Any, Literal
 
 from refcodec.bitstream import codec
 from refcodec.bitstream.scene import Scene
@@ -34,11 +34,15 @@ from .targets import plain
 
 @dataclass(frozen=True)
 class Seen:
-    """The view of another vector's file. id, data: of that vector. camera: JSON (vectors/README.md)."""
+    """The view of another vector's file.
+
+    id, data: of that vector. camera: JSON (vectors/README.md). result: of the manifest, "undrawn" for no image.
+    """
 
     id: str
     data: bytes
     camera: dict[str, Any]
+    result: Literal["gaussians", "image", "undrawn"] = "gaussians"
 
 
 Make = Callable[[], bytes | Refused | Seen]

@@ -50,13 +50,13 @@ def _options(arguments: argparse.Namespace) -> Options:
     command = tuple(arguments.command)
     needed = [] if arguments.serve else ["input", "output", *(["trace"] if arguments.trace else [])]
     check_template(command, needed)
-    gaussians = None
-    if arguments.gaussians is not None:
-        gaussians = tuple(shlex.split(arguments.gaussians))
-        check_template(gaussians, ["input", "output", "camera"])
-    return Options(
-        command, gaussians, arguments.jobs, arguments.grade, arguments.slow, arguments.trace, arguments.serve
-    )
+    seen: list[tuple[str, ...] | None] = []
+    for given in (arguments.gaussians, arguments.render):
+        seen.append(None if given is None else tuple(shlex.split(given)))
+        if seen[-1] is not None:
+            check_template(seen[-1], ["input", "output", "camera"])
+    a = arguments
+    return Options(command, seen[0], seen[1], a.jobs, a.grade, a.slow, a.trace, a.serve)
 
 
 def _known(path: Path | None, manifest: Manifest) -> list[str]:
@@ -209,9 +209,12 @@ def add(commands: Any) -> None:
             usage=f"conformance {name} [options] {example}",
         )
         add_vectors(parser)
-        parser.add_argument(
-            "--gaussians", metavar="COMMAND", help="a command with {input}, {camera} and {output}, quoted as in a shell"
-        )
+        for option, what in (("--gaussians", "lists of Gaussians"), ("--render", "images")):
+            parser.add_argument(
+                option,
+                metavar="COMMAND",
+                help=f"a command for {what} with {{input}}, {{camera}} and {{output}}, quoted as in a shell",
+            )
         add_jobs(parser)
         parser.add_argument(
             "--slow", type=_factor, default=1.0, metavar="X", help="factor of the time budgets (default: %(default)s)"

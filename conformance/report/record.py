@@ -24,6 +24,9 @@ from ..runner.run import STATUSES, Options, Result, Run
 from . import diagnosis
 from .schema import Coverage, Decoder, Description, Profile, Record, Runner, Suite, Verdict
 
+# The verdicts that are not of decoders, by the operation.
+SEEN = {"gaussians": "gaussians", "render": "rendering"}
+
 T = TypeVar("T")
 # The version of a decoder without a description.
 NOT_STATED = "not stated"
@@ -111,7 +114,7 @@ def build(manifest: Manifest, options: Options, about: About, run: Run) -> Recor
     parts = {
         "suite": Suite(manifest.suite_version, manifest.format_version, manifest_digest(manifest), groups),
         "runner": Runner(*versions, about.select, about.started, round(about.seconds, 3), run.interrupted, **chosen),
-        "decoder": Decoder(about.decoder, options.command, options.gaussians, _files(options.command)),
+        "decoder": Decoder(about.decoder, options.command, options.gaussians, options.render, _files(options.command)),
         **conclusions(groups, run.results, manifest),
         "diagnosis": diagnosis.of_results(run.results),
         "vectors": tuple(run.results),
@@ -123,9 +126,9 @@ def build(manifest: Manifest, options: Options, about: About, run: Run) -> Recor
 
 
 def _group(vector: Vector) -> str:
-    """Returns the verdict that a vector counts for: that of its profile and level, of rendering, or of any profile."""
-    if vector.operation == "gaussians":
-        return "rendering"
+    """Returns the verdict that a vector counts for: of its profile and level, lists, images, or any profile."""
+    if vector.operation in SEEN:
+        return SEEN[vector.operation]
     return "any" if vector.profile is None else f"{vector.profile} {vector.level}"
 
 
@@ -141,7 +144,7 @@ def conclusions(groups: dict[str, str], results: Sequence[Result], manifest: Man
     grades = {r.id: r.grade for r in judged}
     profiles = tuple(_profiles(groups, grades))
     verdict = Verdict(
-        all(row.verdict == "conforms" for row in profiles if row.profile != "rendering"),
+        all(row.verdict == "conforms" for row in profiles if row.profile not in SEEN.values()),
         min((r.grade for r in judged if r.operation == "decode"), default=None),
         {status: counts[status] for status in STATUSES},
         len(groups) - len(judged),
@@ -156,11 +159,11 @@ def conclusions(groups: dict[str, str], results: Sequence[Result], manifest: Man
 
 def _profiles(groups: dict[str, str], grades: dict[str, int]) -> Iterable[Profile]:
     """Yields the verdicts. grades: by identifier, of the vectors that were run."""
-    names = ["tiny", "main", "rendering"]
+    names = ["tiny", "main", *SEEN.values()]
     for group in sorted(set(groups.values()) - {"any"}, key=lambda g: (names.index(g.split()[0]), g)):
         name, _, level = group.partition(" ")
         lower = {g for g in groups.values() if g.startswith(f"{name} ") and int(g.split()[1]) < int(level)}
-        counted = {group} if name == "rendering" else {group, "any", *lower}
+        counted = {group} if name in names[2:] else {group, "any", *lower}
         needed = [vector for vector, g in groups.items() if g in counted]
         right = sum(grades.get(vector) == GRADE_EXACT for vector in needed)
         wrong = sum(grades.get(vector, GRADE_EXACT) != GRADE_EXACT for vector in needed)

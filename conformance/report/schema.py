@@ -11,7 +11,7 @@ from ..manifest import Count, Positive, Sha256, Strict, Text
 from ..runner.run import Grade, Number, Result, Status
 
 # The verdict that a vector counts for.
-Group = Annotated[str, Meta(pattern="^(any|rendering|(tiny|main) [0-9]+)$")]
+Group = Annotated[str, Meta(pattern="^(any|gaussians|rendering|(tiny|main) [0-9]+)$")]
 
 
 class Description(Strict, frozen=True):
@@ -52,11 +52,12 @@ class Runner(Strict, frozen=True):
 
 
 class Decoder(Strict, frozen=True):
-    """command, gaussians: templates. files: the SHA-256 of the program and of the files that the command names."""
+    """command, gaussians, render: templates. files: the SHA-256 of the program and of files that the command names."""
 
     description: Description
     command: tuple[str, ...]
     gaussians: tuple[str, ...] | None
+    render: tuple[str, ...] | None
     files: dict[str, Sha256]
 
 
@@ -70,9 +71,9 @@ class Verdict(Strict, frozen=True):
 
 
 class Profile(Strict, frozen=True):
-    """The verdict for a profile and level, or for rendering. needed, right: numbers of vectors."""
+    """The verdict for a profile and level, lists of Gaussians, or rendering. needed, right: numbers of vectors."""
 
-    profile: Literal["tiny", "main", "rendering"]
+    profile: Literal["tiny", "main", "gaussians", "rendering"]
     level: Count | None
     verdict: Literal["conforms", "fails", "incomplete"]
     needed: Count

@@ -20,7 +20,18 @@ from refcodec.bitstream.errors import REGISTRY
 from refcodec.bitstream.reconstruction import DIGEST_MAGIC, LATER_MAGIC, part_names
 from refcodec.files.documents import DocumentError, parse_json
 
-from ..manifest import Accepted, GaussiansOf, Manifest, ManifestError, Rejected, Sha256, Strict, Vector
+from ..manifest import (
+    Accepted,
+    GaussiansOf,
+    ImageOf,
+    Manifest,
+    ManifestError,
+    Rejected,
+    Sha256,
+    Strict,
+    Undrawn,
+    Vector,
+)
 from .folder import FileError, open_file
 from .gaussians import difference
 from .process import Ended
@@ -150,8 +161,12 @@ def read_output(file: BinaryIO) -> Output:
     return Output(hashlib.sha256(listed).hexdigest() if content == listed else whole.hexdigest(), parts)
 
 
-def read(ended: Ended, output: Path, expected: Accepted | None = None) -> Found:
-    """Returns the answer of a process from its end and its output file. expected: of the vector, if it is accepted."""
+def read(ended: Ended, output: Path, expected: Accepted | Undrawn | None = None) -> Found:
+    """Returns the answer of a process from its end and its output file.
+
+    expected: of the vector, if its file is accepted or not drawn. A renderer that does not draw ends with any exit
+    status but 0.
+    """
 
     def crash(text: str) -> Found:
         return Found("crashed", ended.status, ended.signal, text=text)
@@ -160,6 +175,8 @@ def read(ended: Ended, output: Path, expected: Accepted | None = None) -> Found:
         return crash(OVER[ended.over])
     if ended.signal is not None:
         return crash(f"ended by {signal_name(ended.signal)}")
+    if isinstance(expected, Undrawn) and ended.status != statuses.DONE:
+        return Found("rejected", ended.status, None)
     if ended.status == statuses.DONE:
         try:
             with open_file(output) as file:
@@ -169,7 +186,7 @@ def read(ended: Ended, output: Path, expected: Accepted | None = None) -> Found:
         except FileError as error:
             return crash(f"its output {error}")
         wrong: tuple[str, ...] = ()
-        if expected and content.digest != expected.digest:
+        if isinstance(expected, Accepted) and content.digest != expected.digest:
             wrong = tuple(n for n, digest in expected.parts.items() if content.parts.get(n) != digest) or ("digests",)
         return Found("accepted", ended.status, None, digest=content.digest, differing=wrong)
     if ended.status not in (statuses.REJECTED, statuses.UNSUPPORTED):
@@ -205,6 +222,9 @@ def judge(manifest: Manifest, vector: Vector, answer: Found, output: Path) -> Ju
     """Compares a decoder's answer and its output file with the expectation of a vector."""
     if answer.result == "crashed":
         return Judgement(GRADE_NONE, f"crash: {answer.text}")
+    if isinstance(vector.expectation, Undrawn):
+        drawn = answer.result == "accepted"
+        return Judgement(GRADE_NONE, "drawn, although no renderer may") if drawn else Judgement(GRADE_EXACT, "")
     if isinstance(vector.expectation, Rejected):
         return _judge_refusal(vector.expectation, answer)
     if answer.result == "rejected":
@@ -214,17 +234,24 @@ def judge(manifest: Manifest, vector: Vector, answer: Found, output: Path) -> Ju
         if answer.digest != vector.expectation.digest:
             return Judgement(GRADE_NONE, "the output is not the canonical reconstruction")
         return Judgement(GRADE_EXACT, "")
-    return _judge_gaussians(manifest, vector.expectation, output)
+    return _judge_seen(manifest, vector.expectation, output, "G14.6-1" in vector.requirements)
 
 
-def _judge_gaussians(manifest: Manifest, expected: GaussiansOf, output: Path) -> Judgement:
+def _judge_seen(manifest: Manifest, expected: GaussiansOf | ImageOf, output: Path, static: bool) -> Judgement:
+    """Compares a list of Gaussians or an image. static: whether the list is of a static scene."""
     try:
         wanted = (manifest.folder / expected.path).read_bytes()
     except OSError as error:
         raise ManifestError(f"{expected.path}: {error.strerror}") from None
     try:
         with open_file(output) as file:
-            wrong = difference(wanted, file.read(), expected.tolerance)
+            if isinstance(expected, ImageOf):
+                # Only images need numpy, which is slow to import.
+                from .images import image_difference  # noqa: PLC0415
+
+                wrong = image_difference(wanted, file.read(len(wanted) + 1))
+            else:
+                wrong = difference(wanted, file.read(), expected.tolerance, static)
     except (ValueError, OverflowError) as error:
         wrong = f"the output is no list of Gaussians ({type(error).__name__})"
     return Judgement(GRADE_NONE, wrong) if wrong else Judgement(GRADE_EXACT, "")

@@ -25,12 +25,14 @@ from ..manifest import (
     Class,
     Count,
     GaussiansOf,
+    ImageOf,
     Manifest,
     ManifestError,
     Operation,
     Rejected,
     Sha256,
     Strict,
+    Undrawn,
     Vector,
 )
 from . import process
@@ -42,7 +44,10 @@ from .traces import Probe, symbols_digest
 # The longest error output of a process in a report, in characters.
 STDERR_CHARACTERS = 4000
 # The text of a result without a run.
-SKIPPED = "no command for Gaussians was given (--gaussians)"
+SKIPPED = {
+    "gaussians": "no command for Gaussians was given (--gaussians)",
+    "render": "no command for images was given (--render)",
+}
 Status = Literal["failed", "crashed", "unexpected", "known", "passed", "skipped"]
 STATUSES: tuple[Status, ...] = get_args(Status)
 Grade = Annotated[int, Meta(ge=0, le=GRADE_EXACT)]
@@ -53,13 +58,14 @@ Number = Annotated[float, Meta(ge=0)]
 class Options:
     """The options of a run.
 
-    command: of the decoder, a template with {input} and {output}, and optionally {trace}. gaussians: a template with
-    {camera} too, None without a renderer. jobs: number of processes. grade: the lowest grade that passes. slow: factor
+    command: of the decoder, a template with {input} and {output}, and optionally {trace}. gaussians, render: templates
+    with {camera} too, None without a renderer. jobs: number of processes. grade: the lowest that passes. slow: factor
     of the time budgets. trace: the trace is judged too. serve: the command serves (process.Watcher.ask).
     """
 
     command: tuple[str, ...]
     gaussians: tuple[str, ...] | None = None
+    render: tuple[str, ...] | None = None
     jobs: int = 1
     grade: int = GRADE_EXACT
     slow: float = 1.0
@@ -77,6 +83,14 @@ class Tolerance(Strict, frozen=True, tag="gaussians", tag_field="result"):
     """The Gaussians are those of a list within a relative tolerance."""
 
     tolerance: Number
+
+
+class Seen(Strict, frozen=True, tag="image", tag_field="result"):
+    """The image is like a reference image."""
+
+
+class Unseen(Strict, frozen=True, tag="undrawn", tag_field="result"):
+    """Nothing is drawn."""
 
 
 class Result(Strict, frozen=True, rename={"klass": "class"}):
@@ -100,7 +114,7 @@ class Result(Strict, frozen=True, rename={"klass": "class"}):
     flags: tuple[str, ...]
     clauses: tuple[str, ...]
     input: str
-    expected: Digest | Rejected | Tolerance
+    expected: Digest | Rejected | Tolerance | Seen | Unseen
     status: Status
     grade: Grade = 0
     text: str = ""
@@ -131,7 +145,11 @@ def result_of(vector: Vector, status: Status, **more: Any) -> Result:
     e, v = vector.expectation, vector
     clauses = [e.clause] if isinstance(e, Rejected) else []
     clauses = list(dict.fromkeys(clauses + [clause_of(name) for name in v.requirements]))
-    expected = Digest(e.digest) if isinstance(e, Accepted) else e if isinstance(e, Rejected) else Tolerance(e.tolerance)
+    expected: Any = e
+    if isinstance(e, Accepted | GaussiansOf):
+        expected = Digest(e.digest) if isinstance(e, Accepted) else Tolerance(e.tolerance)
+    elif not isinstance(e, Rejected):
+        expected = Seen() if isinstance(e, ImageOf) else Unseen()
     stated = (v.id, v.title, v.klass, v.operation, v.profile, v.level, v.requirements, v.features, v.flags)
     return Result(*stated, tuple(clauses), v.input.path, expected, status, **more)
 
@@ -157,7 +175,9 @@ def wrong_hashes(manifest: Manifest) -> list[str]:
     """Returns a message for each file of the suite that is missing or differs from the manifest."""
     wanted = {v.input.path: v.input.sha256 for v in manifest.vectors}
     wanted |= {
-        v.expectation.path: v.expectation.sha256 for v in manifest.vectors if isinstance(v.expectation, GaussiansOf)
+        v.expectation.path: v.expectation.sha256
+        for v in manifest.vectors
+        if isinstance(v.expectation, GaussiansOf | ImageOf)
     }
     wrong = []
     for path, digest in wanted.items():
@@ -184,15 +204,16 @@ class _Desk:
     def run(self, vector: Vector) -> Result:
         """Returns the result of a vector. Raises StoppedError if the run is stopped meanwhile."""
         o, e, camera, template = self.options, vector.expectation, None, self.options.command
-        if isinstance(e, GaussiansOf):
-            if o.gaussians is None:
-                return result_of(vector, "skipped", text=SKIPPED)
-            template, camera = o.gaussians, json.dumps(e.camera).encode()
+        if isinstance(e, GaussiansOf | ImageOf | Undrawn):
+            given = getattr(o, vector.operation)
+            if given is None:
+                return result_of(vector, "skipped", text=SKIPPED[vector.operation])
+            template, camera = given, json.dumps(e.camera).encode()
         if self.stop.is_set():
             raise StoppedError
         with closing(Folder(self._data(vector), camera)) as folder:
             ended = self._end(vector, template, folder)
-            answer = read(ended, folder.output, e if isinstance(e, Accepted) else None)
+            answer = read(ended, folder.output, e if isinstance(e, Accepted | Undrawn) else None)
             judgement = self._with_trace(vector, judge(self.manifest, vector, answer, folder.output), folder)
             result = result_of(
                 vector,
@@ -204,7 +225,7 @@ class _Desk:
                 seconds=round(ended.seconds, 3),
                 peak_bytes=ended.peak,
             )
-            if not judgement.text or result.status == "crashed" or isinstance(e, GaussiansOf):
+            if not judgement.text or result.status == "crashed" or vector.operation != "decode":
                 return result
             return self._explained(result, vector, folder)
 

@@ -35,20 +35,26 @@ def gaussians(file: kinds.Place, camera: kinds.AnyPath, output: kinds.AnyPath, *
     """
     from ..bitstream.codec import parse
     from ..folder.places import SPLAT_COPIES, check_outputs, progress_bar, read_whole
-    from ..rendering.camera import CAMERA_MAX, read_camera
     from ..rendering.gaussians import gaussians_document, gaussians_of
 
     check_outputs([file, camera], (output, Kind.signed("a list of Gaussians", b'{"gaussians":')))
-    try:
-        with open(camera, "rb") as stored:
-            seen_by = read_camera(stored.read(CAMERA_MAX + 1))
-    except ValueError as error:
-        shown = f"{os.fspath(camera)} is not a camera: {error}"
-        raise UsageError(f"{shown}; vectors/README.md describes one") from None
+    seen_by = _camera(camera)
     data = read_whole(file, words, gaussians=SPLAT_COPIES)
     with progress_bar(words) as show:
         visible = gaussians_of(parse(data, progress=show).scene, seen_by)
     write_file(Path(output), json_text.dumps(gaussians_document(visible), separators=(",", ":")).encode())
+
+
+def _camera(place: kinds.AnyPath) -> Camera:
+    """Returns the camera of a JSON file. Raises UsageError and OSError."""
+    from ..rendering.camera import CAMERA_MAX, read_camera
+
+    try:
+        with open(place, "rb") as stored:
+            return read_camera(stored.read(CAMERA_MAX + 1))
+    except ValueError as error:
+        shown = f"{os.fspath(place)} is not a camera: {error}"
+        raise UsageError(f"{shown}; vectors/README.md describes one") from None
 
 
 @command("render", writes=True)
@@ -64,7 +70,8 @@ def render(
     """Draw a file.
 
     FILE is a file or a scene folder. PHOTOGRAPHS is a COLMAP or NeRF folder, whose cameras are drawn at the
-    training size. The images of an orbit are also written as an animation.
+    training size. The images of an orbit are also written as an animation. With CAMERA.json, which vectors/README.md
+    describes, the output is one file: a PFM image of floats before any conversion (SPEC.md 14.5).
     An image has the name of its camera, including folders, with the suffix .png, which is appended to the camera's
     own suffix if names would collide. Images are marked as written by refcodec, and only such images are replaced.
     They appear in DIR when all are drawn.
@@ -72,7 +79,7 @@ def render(
 
     Args:
         file: a C3GS file, or the folder of an uncompressed scene.
-        output: folder of the images.
+        output: folder of the images, or the PFM file.
         cameras: which cameras (default: that of the file).
         frames: number of images of an orbit.
 
@@ -80,22 +87,29 @@ def render(
         render scene.c3gs -o images
         render scene.c3gs --cameras orbit -o images
         render scene.c3gs --cameras photographs -o images
+        render scene.c3gs --cameras camera.json -o image.pfm
     """
     from ..bitstream.bounds import DRAWING
-    from ..folder.places import progress_bar
+    from ..folder.places import check_outputs, progress_bar
     from ..rendering.camera import OWN
-    from ..rendering.images import ORBIT, ImageFolder
-    from ..rendering.view import View, eight_bits, foreign_colours, orbit_name, own_camera
+    from ..rendering.images import ORBIT, PFM, ImageFolder
+    from ..rendering.view import View, eight_bits, foreign_colours, orbit_name, own_camera, pfm
     from .shown import Shown, note_compiling
 
     note_compiling()
     shown = Shown(file, words, program=DRAWING)
     inputs: list[str | Path | None] = [shown.folder or shown.name]
     notes: list[str] = []
-    orbit = cameras == "orbit"
-    if cameras in ("default", "orbit"):
+    orbit, stated = cameras == "orbit", os.fspath(cameras).lower().endswith(".json")
+    if cameras in ("default", "orbit") or stated:
         apply_only({"size": size}, ("size",), "photographs: omit it")
     chosen: list[Camera] = []
+    if stated:
+        check_outputs([*inputs, cameras], (output, PFM))
+        camera = _camera(cameras)
+        with refusing(f"{shown.name} cannot be drawn"):
+            write_file(Path(output), pfm(View(shown.scene).blended(camera)))
+        return Report([f"{os.fspath(output)}: an image of floats, before any conversion"])
     if orbit:
         names = [orbit_name(number) for number in range(frames)]
     elif cameras == "default":

@@ -20,6 +20,7 @@ PNG = Kind(
 )
 # A GIF begins with its palette. The comment comes after it.
 GIF = Kind("an animation that refcodec wrote", re.compile(rb"GIF8.{,1024}\x21\xfe." + MARK.encode(), re.DOTALL))
+PFM = Kind.signed("a PFM image", b"PF\n")
 ORBIT = "orbit.gif"
 
 

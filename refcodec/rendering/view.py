@@ -170,6 +170,12 @@ def eight_bits(image: F32) -> U8:
     return np.floor(np.clip(image, 0, 1) * 255 + 0.5).astype(np.uint8)
 
 
+def pfm(image: F32) -> bytes:
+    """Returns an image, float32 [height, width, 3], as a PFM file: its numbers as they are, the lowest row first."""
+    height, width, _ = image.shape
+    return b"PF\n%d %d\n-1.0\n" % (width, height) + image[::-1].astype("<f4").tobytes()
+
+
 def png(pixels: U8) -> bytes:
     """Returns an image, uint8 [height, width, 3], as a PNG file, marked as written by refcodec."""
     text = PngInfo()

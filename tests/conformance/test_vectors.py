@@ -11,6 +11,7 @@ from typing import Any
 import jsonschema
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from conformance import cli, spec_decoder
 from conformance import manifest as manifests
@@ -22,9 +23,10 @@ from conformance.cases.flags import FLAGS
 from conformance.cases.numbers import Numbers
 from conformance.cases.suite import GeneratorError, vectors
 from conformance.cases.table import Recipe, valid
-from conformance.manifest import MANIFEST, VECTORS, GaussiansOf, ManifestError, Rejected, Vector, load
+from conformance.manifest import MANIFEST, VECTORS, GaussiansOf, ImageOf, ManifestError, Rejected, Vector, load
 from conformance.runner.gaussians import difference
 from conformance.runner.grading import read_output
+from conformance.runner.images import image_difference
 from refcodec.bitstream import codec
 from refcodec.bitstream.entropy import select
 from refcodec.bitstream.errors import REGISTRY
@@ -32,12 +34,14 @@ from refcodec.bitstream.reconstruction import PARTS, SPLAT
 from refcodec.bitstream.tables import tables
 from refcodec.cli.main import main
 from refcodec.inspect import specification
+from refcodec.rendering.view import pfm
 from spec.coverage import probed
 from spec.matrix import NO_VECTOR
 
 SUITE = load()
 DECODED = [v for v in SUITE.vectors if v.operation == "decode"]
-SEEN = [v for v in SUITE.vectors if v.operation == "gaussians"]
+SEEN = [v for v in SUITE.vectors if isinstance(v.expectation, GaussiansOf)]
+IMAGES = [v for v in SUITE.vectors if isinstance(v.expectation, ImageOf)]
 # What takes plain Python long is left to test_whole_suite.
 QUICK = [v for v in DECODED if v.budget.seconds <= 10]
 # SPEC.md's blocks take a second for some thousands of symbols.
@@ -62,7 +66,7 @@ def document() -> dict[str, Any]:
 
 def test_files_are_those_of_the_manifest() -> None:
     listed = {v.input.path for v in SUITE.vectors} | {
-        v.expectation.path for v in SEEN if isinstance(v.expectation, GaussiansOf)
+        v.expectation.path for v in [*SEEN, *IMAGES] if isinstance(v.expectation, GaussiansOf | ImageOf)
     }
     there = {str(p.relative_to(VECTORS)) for folder in VECTORS.iterdir() if folder.is_dir() for p in folder.iterdir()}
     assert listed == there
@@ -290,8 +294,36 @@ def test_gaussians_that_differ() -> None:
         ([{"anchor": 1}], "no list"),
     ):
         assert what in str(difference(listed(g), listed(*gaussians), 1e-4)), what
+    # A mean is as exact as its distance from the anchor asks, and that of a static scene as binary32.
+    near = {**g, "mean": [1.0, 2.0, 3.0009]}
+    assert difference(listed({**g, "reach": 10.0}), listed(near), 1e-4) is None
+    assert "the same numbers" in str(difference(listed({**g, "reach": 10.0}), listed(near), 1e-4, static=True))
     assert difference(listed(g), "[]", 1e-4)
     assert difference(listed(g), "not JSON", 1e-4)
+
+
+@pytest.mark.requirement("G14.5-1")
+def test_images_that_differ() -> None:
+    right = np.random.default_rng(0).random((40, 50, 3)).astype(np.float32)
+
+    def wrong(change: Callable[[NDArray[np.float32]], Any]) -> str:
+        made = right.copy()
+        change(made)
+        return image_difference(pfm(right), pfm(made)) or ""
+
+    def shift(pixels: int, error: float) -> str:
+        return wrong(lambda made: made.reshape(-1, 3).__setitem__(slice(pixels), made.reshape(-1, 3)[:pixels] + error))
+
+    # 2,000 pixels.
+    assert shift(2, 0.06) == shift(2000, 0.0031) == ""
+    assert "3 of 2000 pixels" in shift(3, 0.0158)
+    assert "49." in shift(2000, 0.0034)
+    assert "not finite" in wrong(lambda made: made.__setitem__((0, 0, 0), np.nan))
+    assert "50 x 39 pixels, 50 x 40 expected" in image_difference(pfm(right), pfm(right[1:]))
+    for output in (b"", b"PF\n50 40\n-1.0\n", pfm(right)[:-1], pfm(right) + b"\0", b"Pf" + pfm(right)[2:]):
+        assert "PFM" in image_difference(pfm(right), output)
+    big = pfm(right).replace(b"-1.0", b"1.0", 1)
+    assert image_difference(pfm(right), big[:13] + right[::-1].astype(">f4").tobytes()) is None
 
 
 def written_digest(output: Path) -> str:

@@ -13,6 +13,8 @@ import pytest
 from random_scenes import flipped, random_scene
 
 from conformance.cases.scenes import PLANELESS
+from conformance.manifest import ImageOf, load
+from conformance.runner.images import image_difference
 from refcodec.bitstream.attributes import Attributes
 from refcodec.bitstream.cameras import CAMERAS, cameras, emit_cameras
 from refcodec.bitstream.codec import emit, parse
@@ -23,6 +25,7 @@ from refcodec.bitstream.metadata import with_metadata
 from refcodec.bitstream.scene import Ancillary
 from refcodec.cli.main import main
 from refcodec.files.text import printable
+from refcodec.rendering.view import pfm
 from refcodec.viewer.bundle import bundle
 from refcodec.viewer.page import page
 from tests.chromium import BrowserError, Chromium
@@ -113,6 +116,23 @@ def test_the_page_draws_what_render_draws(browser: Chromium, exported: tuple[Pat
     outside = [url for url in browser.asked if not url.startswith(("file:", "blob:", "data:"))]
     assert outside == []
     assert output.as_uri() in browser.asked
+
+
+@pytest.mark.slow
+@pytest.mark.requirement("G14.5-1")
+def test_the_page_passes_the_image_vectors(browser: Chromium, tmp_path: Path) -> None:
+    from PIL import Image  # noqa: PLC0415
+
+    suite, before = load(), None
+    for v in sorted((v for v in suite.vectors if isinstance(v.expectation, ImageOf)), key=lambda v: v.input.path):
+        assert isinstance(v.expectation, ImageOf)
+        if v.input != before:
+            _show(browser, tmp_path, suite.path(v).read_bytes())
+        before, camera = v.input, v.expectation.camera
+        camera = {**camera, "rotation": [x for row in camera["rotation"] for x in row]}
+        picture = browser.run(f"c3gs.picture({json.dumps(camera)})").partition(",")[2]
+        made = np.asarray(Image.open(io.BytesIO(base64.b64decode(picture))).convert("RGB"), np.float32) / 255
+        assert image_difference((suite.folder / v.expectation.path).read_bytes(), pfm(made)) is None, v.id
 
 
 @pytest.mark.slow
