@@ -180,6 +180,8 @@ def png(pixels: U8) -> bytes:
     """Returns an image, uint8 [height, width, 3], as a PNG file, marked as written by refcodec."""
     text = PngInfo()
     text.add_text("Software", MARK)
+    # ITU-T H.273: primaries and transfer of sRGB, RGB, full range.
+    text.add(b"cICP", bytes([1, 13, 0, 1]))
     data = io.BytesIO()
     Image.fromarray(pixels).save(data, "PNG", pnginfo=text)
     return data.getvalue()

@@ -144,6 +144,8 @@ def test_images_as_files() -> None:
     made = np.array([[[0, 0.5, 1], [-1, 2, 0.25]]], np.float32)
     assert eight_bits(made).tolist() == [[[0, 128, 255], [0, 255, 64]]]
     assert np.asarray(Image.open(io.BytesIO(png(eight_bits(made))))).tolist() == eight_bits(made).tolist()
+    # The image says that its values are those of sRGB.
+    assert b"cICP\x01\x0d\0\x01" in png(eight_bits(made))[:200]
     with Image.open(io.BytesIO(gif([np.full((4, 4, 3), v, np.uint8) for v in (0, 100, 200)]))) as animation:
         assert animation.n_frames == 3
 
