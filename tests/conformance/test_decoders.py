@@ -12,9 +12,10 @@ from hostile_files import FILES, GREEDY, SCENES, TARGETS, UNDRAWN, changed_field
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from random_scenes import random_scene
+from web_program import Decoder
 
 from conformance.cases.checksums import repair, resized
-from conformance.cases.scenes import CONSTANT, MAIN_DIMENSIONS
+from conformance.cases.scenes import CONSTANT, MAIN_DIMENSIONS, cheap, cuboid
 from conformance.cases.target import Target
 from conformance.fuzz import compare
 from conformance.fuzz.compare import Verdict, first_verdict
@@ -22,6 +23,7 @@ from conformance.fuzz.strategies import draw_fault, drawable, scenes
 from conformance.manifest import VECTORS
 from refcodec.bitstream import codec, directory, reconstruction
 from refcodec.bitstream.errors import REGISTRY, BitstreamError
+from refcodec.bitstream.limits import MAIN
 from refcodec.bitstream.scene import Ancillary, Scene
 
 # Address space of a program that is to need little: less than the 64 MiB that any file may take (SPEC 13.1).
@@ -48,6 +50,20 @@ def accepted(scene: Scene) -> Verdict:
 @pytest.mark.parametrize("name", SCENES)
 def test_files(decoders: Decoders, name: str) -> None:
     decoders.agreed(FILES[name], accepted(SCENES[name]))
+
+
+@pytest.mark.slow
+@pytest.mark.requirement("R11.2-1", "D15.4-1")
+def test_more_anchors_than_level_20_allows(plain_c_decoder: Program, decoder: Decoder) -> None:
+    """A file of level 30, which the suite makes from its seed and does not store. The blocks would take hours."""
+    data = codec.emit(cheap("level-30", cuboid(128, 128, 65)[: (1 << 20) + 1], profile=MAIN, chunk_size=16384))
+    assert codec.parse_container(data).level == 30
+    verdict = first_verdict(data)
+    assert verdict[1] == -1
+    for path in ("numpy", "native"):
+        with compare.on_path(path):
+            assert first_verdict(data) == verdict
+    assert plain_c_decoder.verdict(data) == decoder.verdict(data) == verdict
 
 
 @pytest.mark.requirement("D7.3-1", "D7.6-1", "D7.7-1", "D7.8-1", "D7.9-1", "D7.10-1", "D7.12-1", "D7.13-1")
