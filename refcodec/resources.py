@@ -1,7 +1,5 @@
 """Finds files of the project that lie outside its packages in a checkout, such as SPEC.md and the vectors."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 PACKAGE = Path(__file__).resolve().parent

@@ -4,8 +4,6 @@ An entry holds everything specific to a type: `inspect`, `validate`, `open`, the
 TYPES. CONTRIBUTING.md describes how to add one.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any

@@ -3,8 +3,6 @@
 The reported error is independent of the parallelism (SPEC.md 10.1).
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import threading

@@ -3,8 +3,6 @@
 A violation in such a section is a warning and never refuses a file.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Clauses 5.14 and 6.11: the chunks."""
 
-from __future__ import annotations
-
 import zlib
 from dataclasses import dataclass
 

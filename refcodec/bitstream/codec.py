@@ -3,8 +3,6 @@
 `parse` decodes a file and `emit` encodes one. The modules of the other clauses implement the steps.
 """
 
-from __future__ import annotations
-
 import zlib
 from contextlib import suppress
 from dataclasses import dataclass, field

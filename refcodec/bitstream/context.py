@@ -1,7 +1,5 @@
 """Clause 7.5: geometry to context."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

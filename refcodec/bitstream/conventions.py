@@ -3,8 +3,6 @@
 They act on int64 arrays element by element. Callers observe the bounds of SPEC.md 7.11, so nothing overflows.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

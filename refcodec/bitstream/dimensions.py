@@ -1,7 +1,5 @@
 """Clauses 5.3, 5.8 and 6.3: the dimensions, and the networks that follow from them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any

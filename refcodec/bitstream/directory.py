@@ -1,7 +1,5 @@
 """Clauses 5.6, 6.6 and 12.1: the directory."""
 
-from __future__ import annotations
-
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ once and runs in either direction. Symbols come in groups (SPEC 8.3). The arrays
 first substream, then those of the second, and so on.
 """
 
-from __future__ import annotations
-
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Clauses 5.7 and 6.7: the frame."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

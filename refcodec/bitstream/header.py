@@ -1,7 +1,5 @@
 """Clauses 5.1 to 5.5 and 6.1 to 6.5: the prologue and the header."""
 
-from __future__ import annotations
-
 import zlib
 from dataclasses import dataclass, fields, replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Clauses 5.11 to 5.13 and 6.10: the index."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import TypeVar
 

@@ -4,8 +4,6 @@ The kernel reports the error of a substream with the numbers for the error's tex
 the text from them, so nothing is decoded twice.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

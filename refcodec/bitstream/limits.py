@@ -1,7 +1,5 @@
 """Clause 11: profiles and levels."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from .dimensions import RENDER_MODELS, Dimensions, dimension_fields, work

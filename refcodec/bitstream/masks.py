@@ -3,8 +3,6 @@
 The context of a mask bit is the index of its offset and the number of the anchor's kept offsets before it.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

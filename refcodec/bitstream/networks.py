@@ -4,8 +4,6 @@ A float32 matrix product may compute the integers: no partial sum reaches 2^24, 
 not, gives the same exact result. If a faulty BLAS does not, the self-test chooses int64.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Container, Mapping
 from dataclasses import dataclass
 from functools import cache

@@ -1,7 +1,5 @@
 """Clauses 5.10, 6.9 and 7.3: the planes."""
 
-from __future__ import annotations
-
 import construct as cs
 import numpy as np
 from numpy.typing import NDArray

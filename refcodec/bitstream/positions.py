@@ -4,8 +4,6 @@ The code of a cell is its place on the Morton curve. A node of the tree is the c
 While the chunks of a batch are coded in parallel, the number of the chunk lies above the bits of a code.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

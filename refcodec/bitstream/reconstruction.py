@@ -1,7 +1,5 @@
 """Clause 9: the reconstruction of float32 values from integers, each rounded once, and the digests."""
 
-from __future__ import annotations
-
 import hashlib
 import struct
 from collections.abc import Iterator, Sequence

@@ -3,8 +3,6 @@
 Everything that determines a symbol is an integer here. `reconstruction` computes the float values.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import accumulate

@@ -1,7 +1,5 @@
 """Clause 9.4: the plain Gaussians of a static scene, in integers up to their last rounding."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

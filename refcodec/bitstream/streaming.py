@@ -4,8 +4,6 @@
 it yields as many chunks at once as are decoded in parallel.
 """
 
-from __future__ import annotations
-
 import io
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ SYNTAX holds the tables of SPEC.md, and a test compares the two. The schemas are
 such as weights and words, which the modules of their clauses read as arrays.
 """
 
-from __future__ import annotations
-
 import io
 import math
 import re

@@ -4,8 +4,6 @@ They are read from the shipped file, whose SHA-256 is checked. Annex A defines i
 it with 50 digits.
 """
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Clauses 5.8, 5.9, 6.8 and 7.13: the weights, raw or as integers on grids."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import construct as cs

@@ -1,7 +1,5 @@
 """The command line of refcodec: it parses the words of a command, calls a function of refcodec.api, and prints."""
 
-from __future__ import annotations
-
 import os
 import sys
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """The parser of the command line. The commands, their words and their help are those of refcodec.api."""
 
-from __future__ import annotations
-
 import argparse
 import importlib
 import inspect

@@ -5,8 +5,6 @@ in one file, or as a TorchScript archive for each network. Their common structur
 2024): Linear, ReLU, Linear, with the features, the unit vector from the camera and the distance as inputs.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Plain 3D Gaussians as tensors, and their images as differentiable functions of them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

@@ -1,7 +1,5 @@
 """An uncompressed scene, such as one of a model, with an entropy model."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from ..bitstream.batches import Progress

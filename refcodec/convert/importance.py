@@ -1,7 +1,5 @@
 """The importance of each number of a Gaussian: what an error in it costs in pictures."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np

@@ -6,8 +6,6 @@ most, and have the smallest steps. Each hidden unit belongs to a feature and a c
 MIDDLE for anchors of class k, 0 for lower classes, and ACTIVATION_MAX for higher ones.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -4,8 +4,6 @@ Training chooses grids by rate and distortion on photographs. Here there are non
 by a grid is compared with that by the rounded features, which the rate of the fit determines.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 

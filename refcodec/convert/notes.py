@@ -4,8 +4,6 @@ A cameras.json is read, and written beside splats. It has the coordinates of the
 the axes of another format are.
 """
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """The pictures of a splat file from which a scene is trained, or by which its Gaussians are coded."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path

@@ -5,8 +5,6 @@ Here none can: every pickle is read opcode by opcode, and gives names and locati
 state dicts that names any function but those that make tensors is refused.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import math

@@ -5,8 +5,6 @@ synthetic scenes: training cameras are spread evenly over it, and test cameras f
 look at a surface from free space. The renderer of refcodec draws the images, which are the ground truth of the scene.
 """
 
-from __future__ import annotations
-
 import io
 import json
 import math

@@ -1,7 +1,5 @@
 """JSON and TOML documents from outside, within bounds of size, depth, encoding and numbers, as typed values."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

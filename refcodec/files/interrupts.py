@@ -1,7 +1,5 @@
 """Signals that end a run early: SIGINT (Ctrl-C), SIGTERM, and the SIGHUP of a closing terminal."""
 
-from __future__ import annotations
-
 import contextlib
 import signal
 import threading

@@ -3,8 +3,6 @@
 # filelock is imported where it is used, so that help is instant.
 # ruff: noqa: PLC0415
 
-from __future__ import annotations
-
 import contextlib
 import errno
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """The apparent kind of a file that is not a scene, by its first bytes, and the command that takes it."""
 
-from __future__ import annotations
-
 import re
 
 _CONVERT = "refcodec convert takes splats of this kind"

@@ -4,8 +4,6 @@ Point clouds and splats are such files. Rows of lists, as the faces of meshes ha
 object.
 """
 
-from __future__ import annotations
-
 import io
 import mmap
 import os

@@ -1,7 +1,5 @@
 """Whether an optional file exists, is missing, or is something else; and the bytes of a large file."""
 
-from __future__ import annotations
-
 import errno
 import io
 import mmap

@@ -1,7 +1,5 @@
 """The standard streams of a command: their output does not end it, and cannot control a terminal."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import os

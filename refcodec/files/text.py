@@ -1,7 +1,5 @@
 """Printable forms of text from outside: file names, output of other programs, document values."""
 
-from __future__ import annotations
-
 import os
 import shlex
 

@@ -1,7 +1,5 @@
 """Untrusted zip archives, opened in bounded memory."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import zipfile

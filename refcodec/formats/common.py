@@ -1,7 +1,5 @@
 """What all formats share: the error of their readers, the bounds of a file, and the choices of their writers."""
 
-from __future__ import annotations
-
 import contextlib
 import mmap
 from collections.abc import Iterator

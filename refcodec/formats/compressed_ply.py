@@ -3,8 +3,6 @@
 The element `chunk` has the ranges, `vertex` four words of 32 bits for each Gaussian, and `sh` bytes for harmonics.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from typing import Any

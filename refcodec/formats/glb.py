@@ -5,8 +5,6 @@ x, y, z, w. Written numbers are float32. A file may carry a scene as a C3GS file
 .gltf, with their numbers in another file, are read, too.
 """
 
-from __future__ import annotations
-
 import base64
 import json
 import re

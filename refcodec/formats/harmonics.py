@@ -4,8 +4,6 @@ The basis is orthonormal on the sphere. Its constants follow from the definition
 (2 l + 1) (l - m)! / (4 pi (l + m)!), times the square root of 2 where m is not 0, times (-1)^m (Condon and Shortley).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from typing import Any

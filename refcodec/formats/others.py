@@ -1,7 +1,5 @@
 """Files that are often given as splats and are none: what they are, and what helps."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The numbers that files store for Gaussians: opacities, bytes, the smaller components of quaternions, orders."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """PLY files of plain 3D Gaussians, as the 3DGS code writes them."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Mapping, Sequence

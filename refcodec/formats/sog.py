@@ -7,8 +7,6 @@ into a table of 256 values. Harmonics are indices into a shared palette. meta.js
 # The packages of the extra `render` are imported where they are used, because other formats do not need them.
 # ruff: noqa: PLC0415
 
-from __future__ import annotations
-
 import io
 import json
 import re

@@ -1,7 +1,5 @@
 """Files .splat of antimatter15's viewer: a row of 32 bytes for each Gaussian, with one colour for all directions."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from . import packing

@@ -5,8 +5,6 @@ files point right, down and forward. Thus y and z are negated, with the correspo
 harmonics.
 """
 
-from __future__ import annotations
-
 import gzip
 import re
 import struct

@@ -1,7 +1,5 @@
 """The formats of splat files. A new format is a module and a row of FORMATS."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 from collections.abc import Callable, Iterable

@@ -7,8 +7,6 @@ Two environment variables are read whenever a file is opened or written:
 - REFCODEC_THREADS: the number of threads of the kernel. The default is the number of cores of this process.
 """
 
-from __future__ import annotations
-
 import ctypes
 import os
 from collections.abc import Iterator

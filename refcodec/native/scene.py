@@ -1,7 +1,5 @@
 """Scenes and chunks for the native kernel: converts arrays and bytes to the structures of kernel.h."""
 
-from __future__ import annotations
-
 import ctypes
 import weakref
 from collections.abc import Iterable, Sequence

@@ -1,7 +1,5 @@
 """Photographs as texts describe them, and as in the training of a scene, by its training.json."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 from typing import Any

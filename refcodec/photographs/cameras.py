@@ -6,8 +6,6 @@ continuous: the image spans [0, width] x [0, height] and the centre of the top l
 multiplies fx and cx by one factor, fy and cy by another, with no half pixels.
 """
 
-from __future__ import annotations
-
 import os
 import stat
 import unicodedata

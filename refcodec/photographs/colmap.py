@@ -4,8 +4,6 @@ pycolmap 4.2.1 is not used: it takes 135 MB, accepts a truncated cameras.bin sil
 points3D.bin that states 2^60 points. Formats: https://colmap.github.io/format.html
 """
 
-from __future__ import annotations
-
 import contextlib
 import re
 import stat

@@ -1,7 +1,5 @@
 """Image files: their sizes, their pixels, and smaller versions of them."""
 
-from __future__ import annotations
-
 import re
 import warnings
 from collections.abc import Iterator

@@ -4,8 +4,6 @@ All of them use coefficients of FULL_OPENCV. scipy's map_coordinates resamples. 
 150 MB.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -4,8 +4,6 @@ transform_matrix takes camera to world, and a camera looks along -z with y up: y
 Pixels are counted as in COLMAP (instant-ngp, nerfstudio). Without cx and cy the principal point is in the middle.
 """
 
-from __future__ import annotations
-
 from pathlib import Path, PurePosixPath
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Adam on some rows of a table (Kingma and Ba 2015): a step of training changes only the anchors that it sees."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The work of `refcodec train`: progress, the saved state, the scene folder and training.json."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Training that continues from an existing scene instead of points."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Estimates the bytes of a file from the current state of training."""
 
-from __future__ import annotations
-
 import torch
 
 from ..bitstream.attributes import KINDS

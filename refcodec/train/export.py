@@ -1,7 +1,5 @@
 """Exports a trained scene: integers for the encoder, or floats (SPEC.md Annex B)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

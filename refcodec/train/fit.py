@@ -5,8 +5,6 @@ length is minimised: bits of attributes over uniformly drawn anchors (the paper'
 planes (A-RDO).
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The input of `refcodec fit`: points, which become anchors here, or a scene with its rendering networks."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """SPEC.md 14.6, HARMONICS, in training."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 from torch.nn import functional

@@ -1,7 +1,5 @@
 """The visual hull: the space that transparent photographs do not show to be empty."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

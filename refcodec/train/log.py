@@ -1,7 +1,5 @@
 """The log of training: a row for each evaluation on held-out photographs, as a table or for TensorBoard."""
 
-from __future__ import annotations
-
 import csv
 import io
 import re

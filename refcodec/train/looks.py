@@ -1,7 +1,5 @@
 """The records of training: the quality of held-out images, the estimated size of the file, and the speed."""
 
-from __future__ import annotations
-
 import math
 import time
 from typing import Any

@@ -1,7 +1,5 @@
 """The image loss of training: L1 and 1 - SSIM, as in 3D Gaussian Splatting."""
 
-from __future__ import annotations
-
 from torch import Tensor
 
 from .cpu.photometric import Photometric

@@ -1,7 +1,5 @@
 """The messages of a training run: before its first step, after steps, and at its end."""
 
-from __future__ import annotations
-
 import contextlib
 import sys
 import time

@@ -1,7 +1,5 @@
 """Learning rates over a training run, and the moments of torch's Adam in a saved state."""
 
-from __future__ import annotations
-
 import math
 
 import torch

@@ -1,7 +1,5 @@
 """The remaining time of training, from the time of a step before the rate and with it."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from typing import Any
 

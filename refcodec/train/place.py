@@ -1,7 +1,5 @@
 """The place of a training's result: the scene folder, and the saved state beside it, checked before any work."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import re

@@ -1,7 +1,5 @@
 """The three networks that turn anchors into Gaussians (SPEC.md 9.4, 14.3), in training."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 

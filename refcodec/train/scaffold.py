@@ -1,7 +1,5 @@
 """Scaffold-GS (Lu et al. 2024): anchors on a lattice, and three networks that turn them into Gaussians for a camera."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The schedule of training: its steps, and the mode of each part in its phases."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any

@@ -9,8 +9,6 @@ Nothing here needs NumPy or torch.
 # setting() gives a field.
 # ruff: noqa: RUF009
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -3,8 +3,6 @@
 Any fault of a name or a value is a SettingsError of one line.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import os

@@ -1,7 +1,5 @@
 """From anchors and the outputs of the rendering networks to Gaussians (SPEC.md 9.4, 14.3, 14.6)."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import torch

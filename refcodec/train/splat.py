@@ -1,7 +1,5 @@
 """Drawing Gaussians as a function of torch's autograd: on the CPU with refcodec.rendering, on a GPU with gsplat."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import torch

@@ -6,8 +6,6 @@ in 3DGS the images are padded with zeros, and the pixels near the edge count. sc
 and therefore has another value.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 from torch import Tensor

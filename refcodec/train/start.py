@@ -4,8 +4,6 @@ Training has its own units, in which the scene has a size of about one. Thus not
 `Units` relates them to the world. The file states them by its distance_unit and its scalings.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

@@ -4,8 +4,6 @@ The loss of a step is L_Scaffold + lambda_r L_rate + lambda_m L_m (the paper's e
 the method in turn. Each stage reads from the phases of the settings when it is active; the loop does not know them.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Sequence
 from importlib import import_module

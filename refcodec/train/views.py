@@ -1,7 +1,5 @@
 """Photographs and images of results on the device of a training run."""
 
-from __future__ import annotations
-
 from copy import copy
 
 import numpy as np

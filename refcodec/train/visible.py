@@ -1,7 +1,5 @@
 """Which anchors a camera may see: those with a Gaussian that may reach into its image."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -4,8 +4,6 @@ Positions follow Scaffold-GS (unique voxels of the points). Attributes are measu
 that they depend on place and on each other as learned ones do.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -8,8 +8,6 @@ supported forms of import and export are those of the project's modules:
     export function a() {}        also: async function, class, const
 """
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The page: its HTML and scripts, with the decoder in it, and a file and photographs if they are given."""
 
-from __future__ import annotations
-
 import gzip
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Photographs within the page: some of the held-out ones, with their cameras."""
 
-from __future__ import annotations
-
 import base64
 import io
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """A local server of one page and one file, reachable only from this machine."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import os

@@ -1,7 +1,5 @@
 """Adam on some rows of a table: the kernels of adam.adam_torch and adam.added."""
 
-from __future__ import annotations
-
 import numpy as np
 from numba import prange
 from numpy.typing import NDArray

@@ -1,7 +1,5 @@
 """Bits of attributes (SPEC.md 7.7 to 7.9), from F_h's last layer and CARM: the kernel of RateModel.attribute_bits."""
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np

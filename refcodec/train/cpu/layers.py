@@ -1,7 +1,5 @@
 """A layer on integer activations (SPEC.md 7.2) with its gradient in few passes: the kernel of FoldedMlp.run_torch."""
 
-from __future__ import annotations
-
 import math
 from typing import Any, NamedTuple
 

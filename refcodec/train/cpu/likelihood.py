@@ -1,7 +1,5 @@
 """Bits of symbols and their gradients in one pass, eight symbols at a time: the kernel of bits.TorchBits."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

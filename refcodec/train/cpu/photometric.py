@@ -3,8 +3,6 @@
 SSIM takes one pass each way over eight values at a time. Its bits do not depend on the number of threads.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -5,8 +5,6 @@ and its gradient stay in the cache. Each plane sums its own gradients in one ord
 of threads.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -4,8 +4,6 @@ One pass over the anchors replaces four gathers, two weighted sums and their cop
 the planes of one scale in one order, and no result depends on the number of threads.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

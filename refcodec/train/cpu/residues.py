@@ -4,8 +4,6 @@ The noise is that of SplitMix64 (Steele et al. 2014), whose i-th number does not
 passes compute the same noise, and no result depends on the number of threads.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

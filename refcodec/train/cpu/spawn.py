@@ -4,8 +4,6 @@ It takes one pass each way over the Gaussians that are drawn, where autograd tak
 One thread sums an anchor's gradients in one order, and the result does not depend on the number of threads.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Which anchors a camera may see: the kernel of visible.visible_torch."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Bits of symbols under the distributions of SPEC.md A.3, with their gradients."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

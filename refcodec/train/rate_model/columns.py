@@ -1,7 +1,5 @@
 """The columns of an anchor's attributes, in which order and slices they are coded (SPEC.md 6.13 and 7.10)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import torch

@@ -5,8 +5,6 @@ octave out. Between them the parameters are of order one. Every factor between t
 folding it into a stored weight is exact.
 """
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 

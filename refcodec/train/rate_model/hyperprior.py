@@ -1,7 +1,5 @@
 """The hyperprior: the inputs of F_h, from planes of symbols and the position of an anchor (SPEC.md 7.5)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The entropy model in training: planes, F_h with its steps, SARM and CARM (SPEC.md chapter 7). Rates are bits."""
 
-from __future__ import annotations
-
 import math
 from itertools import accumulate
 from typing import cast

@@ -3,8 +3,6 @@
 Symbols are integers, means count in 1/16 symbol, scale indices and step indices in 1/8 octave.
 """
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

@@ -3,8 +3,6 @@
 Each step follows one photograph, and values vary around the optimum of all photographs. Their mean is closer to it.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import torch

@@ -4,8 +4,6 @@ An anchor grows where the gradient of an offset's projected centre is large, on 
 Larger gradients add anchors on finer lattices.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Learning: Adam's steps for the anchors' tables and the rendering networks."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

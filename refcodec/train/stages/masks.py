@@ -4,8 +4,6 @@ The share is the logistic function of its logit. The weight is the number of vie
 all.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import torch

@@ -1,7 +1,5 @@
 """Quantisation: noise or rounding in training, and the base steps of attributes (SPEC.md B.5)."""
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 from torch import Tensor

@@ -3,8 +3,6 @@
 It starts once, when its phase begins: then the frame, the size of the planes and the widths of the networks are fixed.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -3,8 +3,6 @@
 Training continues with rounded weights and a straight-through gradient, which recovers most of what rounding loses.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
