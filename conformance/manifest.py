@@ -101,6 +101,9 @@ class Undrawn(Strict, frozen=True, tag="undrawn", tag_field="result"):
     camera: dict[str, Any]
 
 
+Expectation = Accepted | Rejected | GaussiansOf | ImageOf | Undrawn
+
+
 class Budget(Strict, frozen=True):
     """The most time, in seconds, and the most memory of a process, in bytes, that a decoder may take."""
 
@@ -132,7 +135,7 @@ class Vector(Strict, frozen=True, rename={"klass": "class"}):
     requirements: Annotated[tuple[Requirement, ...], Meta(min_length=1)]
     flags: tuple[Name, ...]
     input: Input
-    expectation: Accepted | Rejected | GaussiansOf | ImageOf | Undrawn
+    expectation: Expectation
     budget: Budget
     licence: Literal["CC0-1.0", "MIT"]
     generator: Generator

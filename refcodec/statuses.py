@@ -1,5 +1,7 @@
 """Exit statuses of all commands of the project: one number means one thing. The error of wrong usage."""
 
+from __future__ import annotations
+
 import contextlib
 import errno
 import mmap

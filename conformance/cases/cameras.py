@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import replace
 from functools import cache, partial
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -163,28 +163,34 @@ ODD: dict[str, Any] = {"background": (255, 128, 51), "near_plane": 1.75, "alpha_
 @cache
 def drawable(kind: str) -> bytes:
     """Returns the file valid-KIND. Those that are made have odd render information."""
-    _, _, degree = kind.rpartition("-")
+    _, _, form = kind.rpartition("-")
     if not kind.startswith("drawn"):
         return (VECTORS / "valid" / f"{kind}.c3gs").read_bytes()
-    if degree == "drawn":
+    odd = ODD
+    if form == "drawn":
         made = _made()
         (w, b), (_, c) = made.networks["opacity"][-1], made.networks["covariance"][-1]
         w[:], b[:], c[:] = w * 4, b + 1, c + 2
     else:
-        ties = degree == "ties"
-        numbers, made = Numbers(kind), static.ordinary(kind, 12, static.DEGREES[0 if ties else int(degree)])
+        numbers, made = Numbers(kind), static.ordinary(kind, 12, static.DEGREES[int(form) if form.isdigit() else 0])
         anchors, offsets = made.anchor_count, made.dimensions.offset_count
-        made.networks["opacity"][-1][1][:] += 3 << OUTPUT_BITS
+        scalings, spread = numbers.integers(-30, 4, anchors, 6), 6
+        made.networks["opacity"][-1][1][:] += (14 if form == "stop" else 3) << OUTPUT_BITS
         # Pixels above 1.
-        made.networks["colour"][-1][1].reshape(offsets, -1)[:, :3] += (3 << OUTPUT_BITS) * (degree == "1")
-        # Four anchors in one place: Gaussians of equal depth, as their offsets are 0.
-        made = replace(made, positions=made.positions[np.arange(anchors) // 4]) if ties else made
-        made = with_symbols(
-            made,
-            scalings=numbers.integers(-30, 4, anchors, 6),
-            offsets=numbers.centred(0 if ties else 6, anchors, offsets, 3),
-        )
-    return codec.emit(replace(made, render=replace(made.render, **ODD)))
+        made.networks["colour"][-1][1].reshape(offsets, -1)[:, :3] += (3 << OUTPUT_BITS) * (form == "1")
+        if form in ("ties", "stop"):
+            # Four anchors in one place: Gaussians of equal depth, as their offsets are 0.
+            made, spread = replace(made, positions=made.positions[np.arange(anchors) // 4]), 0
+        if form in ("stop", "infinite"):
+            odd = {**ODD, "background": (255, 255, 255), "alpha_max": made.render.alpha_max}
+        if form == "stop":
+            # Gaussians larger than any image. Behind two that are opaque, others are less so.
+            scalings[:, 3:], made.masks[:] = 80, np.eye(2)[np.minimum(np.arange(anchors) // 2, 1)]
+            made.networks["opacity"][-1][1][1] -= 12 << OUTPUT_BITS
+        if form == "infinite":
+            made.masks[:], made.networks["covariance"][-1][1][7:10] = True, 1000 << OUTPUT_BITS
+        made = with_symbols(made, scalings=scalings, offsets=numbers.centred(spread, anchors, offsets, 3))
+    return codec.emit(replace(made, render=replace(made.render, **odd)))
 
 
 def _within() -> list[float]:
@@ -231,6 +237,24 @@ def _image(kind: str, c: Camera) -> Seen:
     return Seen(f"valid-{kind}", drawable(kind), {**lens, **placed}, "image")
 
 
+def _placed(kind: str, translation: Callable[[Scene], list[float]], result: Literal["gaussians", "image"]) -> Seen:
+    """Returns what a camera sees that looks along z."""
+    made = _image(kind, Camera("", 48, 36, 50.0, 38.0, 10.5, 24.25, np.eye(3), np.zeros(3)))
+    place = translation(codec.parse(made.data).scene)
+    return replace(made, camera={**made.camera, "translation": place}, result=result)
+
+
+def _on_mean(scene: Scene) -> list[float]:
+    """Returns the translation of a camera at the mean of a Gaussian."""
+    return [-float(x) for x in splat_of(scene)[0, :3]]
+
+
+def _on_near(scene: Scene) -> list[float]:
+    """Returns that of a camera whose near plane has Gaussians."""
+    x, y, z = _on_mean(scene)
+    return [x, y, z + ODD["near_plane"]]
+
+
 def _undrawn() -> Seen:
     return replace(_seen("valid-render-model-2", partial(drawable, "render-model-2"), "ahead"), result="undrawn")
 
@@ -249,7 +273,8 @@ CASES = [
         ("drawn", "a scene with odd render information", drawable, "drawn")),
     *valid("cameras static", "", "D9.4-1", *(
         (f"drawn-{name}", f"a static scene with odd render information, {what}", drawable, f"drawn-{name}")
-        for name, what in (*((d, f"degree {d}") for d in range(4)), ("ties", "Gaussians of equal depth")))),
+        for name, what in (*((d, f"degree {d}") for d in range(4)), ("ties", "Gaussians of equal depth"),
+                           ("stop", "Gaussians that leave nothing behind them"), ("infinite", "infinite lengths")))),
     *valid("trained main static packed-positions packed-weights", "", "D7.2-1 D9.4-1",
         ("trained-static", "a static scene of 4,309 anchors learnt from aerial photographs", drawable, "trained-static",
          More(seconds=120))),
@@ -266,6 +291,12 @@ CASES = [
         ("image-static", "a camera of a trained static file, at another size", _stated, "trained-static", 1, 48, 36),
         ("image-static-near", "a camera near trained Gaussians", _looked_at, "trained-static", (-0.7, -1.0, 3.4),
          (1.0, 0.0, 5.0), (0.0, -1.0, 0.2)),
-        ("image-infinite", "infinite Gaussians, which are not drawn", _looked_at, "static-long", _FROM, _TO, _UP)),
+        ("image-stop", "blending ends before a Gaussian", _looked_at, "drawn-stop", _FROM, _TO, _UP),
+        ("image-near", "Gaussians in the near plane, which are not drawn", _placed, "drawn-ties", _on_near, "image"),
+        ("image-infinite", "infinite Gaussians, which are not drawn", _looked_at, "drawn-infinite", _FROM, _TO, _UP)),
+    *valid("cameras static", "harmonics", "",
+        ("list-infinite", "infinite Gaussians, which a list leaves out", _placed, "drawn-infinite", _on_mean,
+         "gaussians"),
+        ("list-on-mean", "a camera in the place of a Gaussian", _placed, "drawn-3", _on_mean, "gaussians")),
     *valid("images", "render-model", "", ("image-model-2", "a render model that no renderer knows", _undrawn)),
 ]

@@ -22,6 +22,7 @@ from refcodec.files.documents import DocumentError, parse_json
 
 from ..manifest import (
     Accepted,
+    Expectation,
     GaussiansOf,
     ImageOf,
     Manifest,
@@ -161,11 +162,10 @@ def read_output(file: BinaryIO) -> Output:
     return Output(hashlib.sha256(listed).hexdigest() if content == listed else whole.hexdigest(), parts)
 
 
-def read(ended: Ended, output: Path, expected: Accepted | Undrawn | None = None) -> Found:
-    """Returns the answer of a process from its end and its output file.
+def read(ended: Ended, output: Path, expected: Expectation | None = None) -> Found:
+    """Returns the answer of a process from its end and its output file. expected: of the vector.
 
-    expected: of the vector, if its file is accepted or not drawn. A renderer that does not draw ends with any exit
-    status but 0.
+    A renderer that does not draw ends with any exit status but 0.
     """
 
     def crash(text: str) -> Found:
@@ -175,7 +175,7 @@ def read(ended: Ended, output: Path, expected: Accepted | Undrawn | None = None)
         return crash(OVER[ended.over])
     if ended.signal is not None:
         return crash(f"ended by {signal_name(ended.signal)}")
-    if isinstance(expected, Undrawn) and ended.status != statuses.DONE:
+    if isinstance(expected, GaussiansOf | ImageOf | Undrawn) and ended.status != statuses.DONE:
         return Found("rejected", ended.status, None)
     if ended.status == statuses.DONE:
         try:
@@ -227,6 +227,8 @@ def judge(manifest: Manifest, vector: Vector, answer: Found, output: Path) -> Ju
         return Judgement(GRADE_NONE, "drawn, although no renderer may") if drawn else Judgement(GRADE_EXACT, "")
     if isinstance(vector.expectation, Rejected):
         return _judge_refusal(vector.expectation, answer)
+    if answer.result == "rejected" and answer.code is None:
+        return Judgement(GRADE_NONE, f"not drawn: exit status {answer.status}")
     if answer.result == "rejected":
         assert answer.code is not None
         return Judgement(GRADE_NONE, f"refused with {_describe(answer.code)}; the file is valid")

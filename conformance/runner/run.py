@@ -86,11 +86,9 @@ class Tolerance(Strict, frozen=True, tag="gaussians", tag_field="result"):
 
 
 class Seen(Strict, frozen=True, tag="image", tag_field="result"):
-    """The image is like a reference image."""
+    """The image is like a reference image, or nothing is drawn."""
 
-
-class Unseen(Strict, frozen=True, tag="undrawn", tag_field="result"):
-    """Nothing is drawn."""
+    drawn: bool
 
 
 class Result(Strict, frozen=True, rename={"klass": "class"}):
@@ -114,7 +112,7 @@ class Result(Strict, frozen=True, rename={"klass": "class"}):
     flags: tuple[str, ...]
     clauses: tuple[str, ...]
     input: str
-    expected: Digest | Rejected | Tolerance | Seen | Unseen
+    expected: Digest | Rejected | Tolerance | Seen
     status: Status
     grade: Grade = 0
     text: str = ""
@@ -149,7 +147,7 @@ def result_of(vector: Vector, status: Status, **more: Any) -> Result:
     if isinstance(e, Accepted | GaussiansOf):
         expected = Digest(e.digest) if isinstance(e, Accepted) else Tolerance(e.tolerance)
     elif not isinstance(e, Rejected):
-        expected = Seen() if isinstance(e, ImageOf) else Unseen()
+        expected = Seen(isinstance(e, ImageOf))
     stated = (v.id, v.title, v.klass, v.operation, v.profile, v.level, v.requirements, v.features, v.flags)
     return Result(*stated, tuple(clauses), v.input.path, expected, status, **more)
 
@@ -213,7 +211,7 @@ class _Desk:
             raise StoppedError
         with closing(Folder(self._data(vector), camera)) as folder:
             ended = self._end(vector, template, folder)
-            answer = read(ended, folder.output, e if isinstance(e, Accepted | Undrawn) else None)
+            answer = read(ended, folder.output, e)
             judgement = self._with_trace(vector, judge(self.manifest, vector, answer, folder.output), folder)
             result = result_of(
                 vector,

@@ -3,6 +3,8 @@
 The registry is the only definition of the codes. `python -m spec` prints it in SPEC.md.
 """
 
+from __future__ import annotations
+
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass

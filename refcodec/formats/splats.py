@@ -1,5 +1,7 @@
 """Plain 3D Gaussians with spherical harmonics, as in 3DGS files."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any

@@ -49,8 +49,7 @@ def _blend_tile(record: F32, members: I32, x0: int, y0: int, alpha_max: np.float
     image, transmittance, last = part
     rows, columns = transmittance.shape
     # The planes of a block are x, y, transmittance, place of the last Gaussian drawn, red, green and blue. A
-    # transmittance is negative if the pixel is finished or outside the image. What would be left of it is then below
-    # the least one too.
+    # transmittance is negative outside the image.
     state = np.zeros(TILE_HEIGHT * TILE_WIDTH // WIDTH * BLOCK, np.float32)
     for y in range(TILE_HEIGHT):
         for x in range(TILE_WIDTH):
@@ -70,20 +69,17 @@ def _blend_tile(record: F32, members: I32, x0: int, y0: int, alpha_max: np.float
             x, y = load(state, at), load(state, at + WIDTH)
             u, v = fma(splat(a), x, fma(splat(b), y, splat(u0))), fma(splat(c), y, splat(v0))
             raw = exp2(maximum(fnma(u, u, fnma(v, v, splat(log_opacity))), floor))
-            # SPEC 14.5, PIXEL. Where the Gaussian is not seen, alpha is 0, and so the transmittance stays. Where the
-            # pixel is finished, the transmittance keeps its magnitude and gets the negative sign.
+            # SPEC 14.5, PIXEL. Where the Gaussian is not seen, or the pixel is finished, alpha is 0.
             alpha = minimum(raw, cap)
-            seen = alpha >= least
-            alpha = select(seen, alpha, zero)
             before = load(state, at + 2 * WIDTH)
-            after = fnma(alpha, before, before)
-            going = after >= stop
-            weight = select(going, alpha * before, zero)
-            store(state, at + 2 * WIDTH, select(going, after, minimum(before, zero - before)))
+            seen = (alpha >= least) & (before >= stop)
+            alpha = select(seen, alpha, zero)
+            weight = alpha * before
+            store(state, at + 2 * WIDTH, fnma(alpha, before, before))
             # The sum is exact for integers. A choice between the stored value and another would compile to a masked
             # store, which is ten times as slow.
             place = load(state, at + 3 * WIDTH)
-            store(state, at + 3 * WIDTH, place + select(going & seen, splat(np.float32(k)) - place, zero))
+            store(state, at + 3 * WIDTH, place + select(seen, splat(np.float32(k)) - place, zero))
             store(state, at + 4 * WIDTH, fma(weight, splat(record[i, 8]), load(state, at + 4 * WIDTH)))
             store(state, at + 5 * WIDTH, fma(weight, splat(record[i, 9]), load(state, at + 5 * WIDTH)))
             store(state, at + 6 * WIDTH, fma(weight, splat(record[i, 10]), load(state, at + 6 * WIDTH)))

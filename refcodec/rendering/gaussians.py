@@ -203,7 +203,9 @@ def static_colours(splats: Splats, camera: Camera, rows: NDArray[np.int64]) -> N
 
 
 def gaussians_document(gaussians: Gaussians) -> dict[str, Any]:
-    """Returns Gaussians as JSON values (vectors/README.md)."""
+    """Returns Gaussians as JSON values (vectors/README.md). SPEC 14.4: those that are not finite are left out."""
     kinds = ("anchor", "offset", "mean", "lengths", "quaternion", "opacity", "colour")
-    columns = [getattr(gaussians, kind).tolist() for kind in kinds]
+    columns = [getattr(gaussians, kind) for kind in kinds]
+    finite = np.all([np.isfinite(column.reshape(len(column), -1)).all(axis=1) for column in columns], axis=0)
+    columns = [column[finite].tolist() for column in columns]
     return {"gaussians": [dict(zip(kinds, row, strict=True)) for row in zip(*columns, strict=True)]}

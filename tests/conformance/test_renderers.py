@@ -28,6 +28,7 @@ PLANTED = {
     "low-pass filter in one direction": ("PROJECT", "a + low_pass, c + low_pass", "a + low_pass, c"),
     "low_pass as a deviation": ("PROJECT", "a + low_pass, c + low_pass", "a + low_pass**2, c + low_pass**2"),
     "near plane of 3DGS": ("PROJECT", "z <= near_plane", "z <= 0.2"),
+    "near plane drawn": ("PROJECT", "z <= near_plane", "z < near_plane"),
     "no near plane": ("PROJECT", "z <= near_plane", "z <= 0"),
     "slopes without clamp": ("PROJECT", "min(max(s, -c / f - beyond), (size - c) / f + beyond)", "s"),
     "slopes clamped as 3DGS does": (
@@ -62,7 +63,12 @@ PLANTED = {
     "cut at 2 deviations": ("PIXEL", "alpha < 1 / 255", "alpha < max(opacity * math.exp(-2), 1 / 255)"),
     "background ignored": ("PIXEL", "o + left * g", "o"),
     "background added as a whole": ("PIXEL", "o + left * g", "o + g"),
-    "stop behind a Gaussian of half transmittance": ("PIXEL", "left * (1 - alpha) < 1e-4", "left < 0.5"),
+    "stop before a Gaussian": (
+        "PIXEL",
+        "continue\n",
+        "continue\n        if left * (1 - alpha) < 1e-4:\n            break\n",
+    ),
+    "stop at half the transmittance": ("PIXEL", "left < 1e-4", "left < 0.5"),
     "not limited to 1": ("PIXEL", "min(o + left * g, 1.0)", "o + left * g"),
     "colours limited to 1 before blending": ("STATIC_GAUSSIAN", "max(0.5 + x, 0.0)", "min(max(0.5 + x, 0.0), 1.0)"),
     "negative colours": ("STATIC_GAUSSIAN", "max(0.5 + x, 0.0)", "0.5 + x"),
@@ -140,6 +146,12 @@ CONNECTED: dict[str, dict[str, Any]] = {
     "rotation transposed": {"change": lambda s, c: (s, replace(c, rotation=c.rotation.T))},
     "up is down": {"change": lambda s, c: (s, replace(c, rotation=c.rotation * [[1], [-1], [-1]]))},
     "black background": {"change": lambda s, c: (replace(s, render=replace(s.render, background=(0, 0, 0))), c)},
+    "background of 254": {
+        "change": lambda s, c: (
+            replace(s, render=replace(s.render, background=tuple(min(x, 254) for x in s.render.background))),
+            c,
+        )
+    },
     "background in reverse": {
         "change": lambda s, c: (replace(s, render=replace(s.render, background=s.render.background[::-1])), c)
     },

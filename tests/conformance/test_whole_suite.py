@@ -1,6 +1,7 @@
 """The project's own decoders on the suite, through the runner."""
 
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -21,11 +22,12 @@ def run(name: str, *options: str) -> int:
 
 @pytest.mark.slow
 @pytest.mark.no_cover
-def test_refcodec_passes_the_suite() -> None:
+def test_refcodec_passes_the_suite(tmp_path: Path) -> None:
     program = f"{sys.executable} -m refcodec"
     commands = {"gaussians": "gaussians {input} {camera}", "render": "render {input} --cameras {camera} -o"}
     options = [word for name, rest in commands.items() for word in (f"--{name}", f"{program} {rest} {{output}}")]
-    assert run("refcodec", *options) == statuses.DONE
+    assert run("refcodec", *options, "--report", str(tmp_path / "report")) == statuses.DONE
+    assert "the reference image" in (tmp_path / "report" / "report.html").read_text(encoding="utf-8")
 
 
 @pytest.mark.slow

@@ -108,9 +108,8 @@ def dense(
     alpha = torch.where(seen, raw.clamp(max=settings.alpha_max), 0.0)
     with torch.no_grad():
         left = torch.cumprod(1 - alpha, 1)
-        # The first that would leave less than 1e-4 finishes the pixel; from there on no value of `left` is above it.
-        going = left >= 1e-4
-        before = torch.cat([torch.ones_like(left[:, :1]), going[:, :-1].double()], 1) > 0
+        # The first that leaves less than 1e-4 is the last.
+        going = before = torch.cat([torch.ones_like(left[:, :1]), left[:, :-1]], 1) >= 1e-4
         fragile = ((raw * 255 - 1).abs() < FRAGILE) | ((raw / settings.alpha_max - 1).abs() < FRAGILE)
         fragile = ((fragile | ((left / 1e-4 - 1).abs() < FRAGILE)) & before).any(1)
     alpha = torch.where(going, alpha, 0.0)
@@ -180,7 +179,7 @@ def test_scenes(name: str) -> None:
     values["scale"][:] = case.get("scale", values["scale"])
     values["quaternion"] *= np.float32(case.get("quaternion", 1))
     rendering, _ = compare(values, view, settings, gradient_error=error)
-    assert rendering.transmittance.min() >= 1e-4
+    assert rendering.transmittance.min() >= 1e-6
 
 
 def test_opaque() -> None:
