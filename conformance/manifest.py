@@ -15,7 +15,7 @@ from refcodec.resources import find
 
 # The suite that came with this package, wherever it is installed.
 VECTORS = find("vectors", Path(__file__).resolve().parent)
-MANIFEST, SCHEMA = "manifest.json", "manifest.schema.json"
+MANIFEST, SCHEMA, ARCHIVE = "manifest.json", "manifest.schema.json", "archive"
 # The most characters of a fault in a message.
 _WRONG = 300
 

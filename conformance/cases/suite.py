@@ -16,7 +16,7 @@ from refcodec.files.stage import exchange, new_file
 from refcodec.inspect.trace import symbol_trace
 from refcodec.statuses import UsageError
 
-from ..manifest import MANIFEST, OPERATIONS, SCHEMA, VECTORS
+from ..manifest import ARCHIVE, MANIFEST, OPERATIONS, SCHEMA, VECTORS
 from .cameras import TOLERANCE, expected, reference_image
 from .fault import Refused
 from .features import FEATURES
@@ -147,6 +147,27 @@ def _text(document: dict[str, Any]) -> str:
     return f"{rest}[\n{vectors}\n ]\n}}\n"
 
 
+# The columns of an archive (vectors/README.md). The first three tell what a line is about.
+COLUMNS = ("id", "sha256", "minor_at_most", "verdict", "offset", "digest", "suite_version")
+
+
+def archived(text: str, rows: Iterable[dict[str, Any]]) -> str:
+    """Returns an archive with a line for each vector of decoding that has none yet. No line changes, and none leaves.
+
+    text: the archive, or nothing. Raises UsageError for a vector whose verdict differs from that of its line.
+    """
+    lines = {tuple(cells[:3]): cells for cells in (line.split("\t") for line in text.splitlines()[1:])}
+    for vector in rows:
+        if vector["operation"] == "decode":
+            e = vector["expectation"]
+            about = vector["id"], vector["input"]["sha256"], str(vector.get("minor_at_most", "-"))
+            verdict = [str(e.get("code", "accepted")), str(e.get("offset", "-")), e.get("digest", "-")]
+            line = lines.setdefault(about, [*about, *verdict, SUITE_VERSION])
+            if line[3:6] != verdict:
+                raise UsageError(f"{vector['id']}: {', '.join(verdict)} expected, but its line in {ARCHIVE} differs")
+    return "".join("\t".join(cells) + "\n" for cells in (COLUMNS, *sorted(lines.values())))
+
+
 def generate(folder: Path, recipes: Iterable[Recipe]) -> tuple[int, int]:
     """Writes the suite, and replaces that of the folder. Returns the number of vectors and bytes of files.
 
@@ -162,6 +183,10 @@ def generate(folder: Path, recipes: Iterable[Recipe]) -> tuple[int, int]:
     size = sum(map(len, written.values()))
     written[MANIFEST] = _text(document).encode()
     written[SCHEMA] = (VECTORS / SCHEMA).read_bytes()
+    # Archives begin with that of the package, as the order of the manifest does.
+    kept = {f"{ARCHIVE}/{path.name}": path.read_bytes() for path in (VECTORS / ARCHIVE).glob("*.tsv")}
+    own = f"{ARCHIVE}/{header.MAJOR}.tsv"
+    written |= kept | {own: archived(kept.get(own, b"").decode(), rows).encode()}
 
     def write(new: Path) -> None:
         for klass in CLASSES:
@@ -173,7 +198,7 @@ def generate(folder: Path, recipes: Iterable[Recipe]) -> tuple[int, int]:
 
     def replaced() -> list[Path]:
         _check(folder)
-        return [folder / name for name in (*CLASSES, MANIFEST, SCHEMA)]
+        return [folder / name for name in (*CLASSES, ARCHIVE, MANIFEST, SCHEMA)]
 
     exchange(folder, write, replaced, MANIFEST)
     return len(rows), size

@@ -3,6 +3,8 @@
 from collections.abc import Callable, Iterable
 from fnmatch import fnmatchcase
 
+from msgspec import UnsetType
+
 from ..manifest import Rejected, Vector
 
 _VALUES: dict[str, Callable[[Vector], Iterable[str]]] = {
@@ -14,6 +16,7 @@ _VALUES: dict[str, Callable[[Vector], Iterable[str]]] = {
     "feature": lambda v: v.features,
     "requirement": lambda v: v.requirements,
     "flag": lambda v: v.flags,
+    "minor_at_most": lambda v: [] if isinstance(v.minor_at_most, UnsetType) else [str(v.minor_at_most)],
     "code": lambda v: [str(v.expectation.code)] if isinstance(v.expectation, Rejected) else [],
 }
 HELP = (

@@ -159,7 +159,9 @@ def shorten(words: str, patch: pytest.MonkeyPatch) -> None:
         once("conformance.cli.running", "run")
     if words.startswith("suite generate"):
         patch.setattr("conformance.cases.recipes", list)
-        patch.setattr("conformance.cases.suite.vectors", lambda recipes: [({"id": "valid-a"}, {"valid/a.c3gs": b"a"})])
+        patch.setattr(
+            "conformance.cases.suite.vectors", lambda recipes: [({"operation": "gaussians"}, {"valid/a": b""})]
+        )
 
 
 @pytest.mark.parametrize(

@@ -144,7 +144,7 @@ def test_nothing_selected_is_a_failure(suite: Suite) -> None:
         (["class:valid"], GOOD),
         (["*-plain"], ("valid-plain",)),
         (["class:valid,malformed !id:*plain"], ("valid-extended", "malformed-crc")),
-        (["code:1*,205"], ("malformed-crc", "unsupported-profile")),
+        (["code:1*,205 !minor_at_most:*"], ("malformed-crc", "unsupported-profile")),
         (["profile:none", "class:resource"], ("malformed-crc", "resource-anchors")),
         (["profile:tiny level:0 !class:valid"], ("invalid-up-axis", "unsupported-profile", "resource-anchors")),
         (["feature:head* requirement:R6.2-? !flag:*"], (*GOOD, *BAD)),

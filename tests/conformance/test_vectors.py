@@ -21,20 +21,32 @@ from conformance.cases.fault import Refused
 from conformance.cases.features import FEATURES
 from conformance.cases.flags import FLAGS
 from conformance.cases.numbers import Numbers
-from conformance.cases.suite import GeneratorError, vectors
+from conformance.cases.suite import GeneratorError, archived, vectors
 from conformance.cases.table import Recipe, valid
-from conformance.manifest import MANIFEST, VECTORS, GaussiansOf, ImageOf, ManifestError, Rejected, Vector, load
+from conformance.manifest import (
+    ARCHIVE,
+    MANIFEST,
+    VECTORS,
+    GaussiansOf,
+    ImageOf,
+    ManifestError,
+    Rejected,
+    Vector,
+    load,
+)
 from conformance.runner.gaussians import difference
 from conformance.runner.grading import read_output
 from conformance.runner.images import image_difference
 from refcodec.bitstream import codec
 from refcodec.bitstream.entropy import select
 from refcodec.bitstream.errors import REGISTRY
+from refcodec.bitstream.header import MAJOR
 from refcodec.bitstream.reconstruction import PARTS, SPLAT
 from refcodec.bitstream.tables import tables
 from refcodec.cli.main import main
 from refcodec.inspect import specification
 from refcodec.rendering.view import pfm
+from refcodec.statuses import UsageError
 from spec.coverage import probed
 from spec.matrix import NO_VECTOR
 
@@ -68,8 +80,8 @@ def test_files_are_those_of_the_manifest() -> None:
     listed = {v.input.path for v in SUITE.vectors} | {
         v.expectation.path for v in [*SEEN, *IMAGES] if isinstance(v.expectation, GaussiansOf | ImageOf)
     }
-    there = {str(p.relative_to(VECTORS)) for folder in VECTORS.iterdir() if folder.is_dir() for p in folder.iterdir()}
-    assert listed == there
+    there = {str(p.relative_to(VECTORS)) for p in VECTORS.glob("*/*")}
+    assert listed == {name for name in there if not name.startswith(f"{ARCHIVE}/")}
     for vector in SUITE.vectors:
         assert (vector.input.size, vector.input.sha256) == (len(data(vector)), sha256(data(vector)))
     assert sum(p.stat().st_size for p in VECTORS.rglob("*")) < 6_000_000
@@ -142,7 +154,7 @@ def test_manifests_that_are_none(tmp_path: Path) -> None:
         ("{", "Expecting"),
         (json.dumps({**document(), "vectors": []}), "length >= 1"),
         (whole.replace("{", '{"suite": 1,', 1), "twice"),
-        (whole.replace('"format_version": 0', '"format_version": 1'), "enum value 1"),
+        (whole.replace(f'"format_version": {MAJOR}', '"format_version": 9'), "enum value 9"),
         (json.dumps({**document(), "vectors": document()["vectors"][:1]}), "no vector has"),
     ):
         (tmp_path / MANIFEST).write_text(content, encoding="utf-8")
@@ -150,6 +162,21 @@ def test_manifests_that_are_none(tmp_path: Path) -> None:
             load(tmp_path / MANIFEST)
     with pytest.raises(OSError, match="No such file"):
         load(tmp_path / "none" / MANIFEST)
+
+
+def test_the_archive() -> None:
+    """It has a line for each file of the suite, with its verdict, in order. A line neither changes nor leaves."""
+    text = (VECTORS / ARCHIVE / f"{MAJOR}.tsv").read_text(encoding="utf-8")
+    lines, decoded = text.splitlines()[1:], [v for v in document()["vectors"] if v["operation"] == "decode"]
+    assert lines == sorted(set(lines))
+    assert archived(text, decoded) == text
+    # Of a suite without the first vector its line stays; another file of it gets a line of its own.
+    first = decoded[0]
+    assert archived(text, decoded[1:]) == text
+    other = {**first, "input": {**first["input"], "sha256": "0" * 64}}
+    assert set(archived(text, [other]).splitlines()) > set(text.splitlines())
+    with pytest.raises(UsageError, match="its line in archive differs"):
+        archived(text, [{**first, "expectation": {**first["expectation"], "digest": "0" * 64}}])
 
 
 # --- the generator ----------------------------------------------------------------------------------------------------
