@@ -2,6 +2,7 @@
 
 python -m release             builds them in out/release
 python -m release --check     builds them in two new clones, compares all bytes, and tries the artefacts
+python -m release --major N   makes the format version N in this clone, which must be one for it, and builds nothing
 """
 
 import argparse
@@ -18,7 +19,7 @@ from pathlib import Path
 from refcodec.files.terminal import note, say
 from refcodec.statuses import DONE, REJECTED, USAGE, UsageError
 
-from . import compiler, packages, source, trials, wheels
+from . import compiler, major, packages, source, trials, wheels
 
 Step = Callable[[source.SourceTree, Path], list[Path]]
 
@@ -94,10 +95,13 @@ def main() -> int:
     )
     parser.add_argument("-o", "--output", metavar="DIR", type=Path, help="default: out/release, or out/release-check")
     parser.add_argument("--check", action="store_true", help="build twice, compare, and try")
+    parser.add_argument("--major", metavar="N", type=int, help="make the next major version of the format")
     arguments = parser.parse_args()
     name = "release-check" if arguments.check else "release"
     folder = (arguments.output or source.ROOT / "out" / name).resolve()
     try:
+        if arguments.major is not None:
+            return major.change(arguments.major)
         if arguments.check:
             return check(folder)
         build(folder)

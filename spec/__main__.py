@@ -12,12 +12,12 @@ from collections.abc import Callable, Iterator
 
 from conformance.manifest import load
 
-from . import citations, coverage, example, generated, house, matrix, meanings, proofs, public, tables
+from . import citations, coverage, example, generated, house, matrix, meanings, proofs, public, tables, version
 from .made import Made
 
 # The order matters. The worked example needs the tables, SPEC.md contains the example, and the matrix reads SPEC.md.
 MAKERS: tuple[Callable[[], Iterator[Made]], ...] = (
-    tables.made, example.made, generated.made, matrix.made, house.made, public.made,
+    version.made, tables.made, example.made, generated.made, matrix.made, house.made, public.made,
 )  # fmt: skip
 
 

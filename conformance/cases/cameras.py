@@ -24,11 +24,11 @@ from refcodec.rendering.gaussians import RENDERING
 from refcodec.rendering.view import pfm
 
 from .. import spec_decoder
-from ..manifest import VECTORS
 from . import static
 from .numbers import Numbers
 from .scenes import TINY_DIMENSIONS, drawn_symbols, lattice, scene, with_symbols
 from .table import More, Seen, valid
+from .targets import stored
 from .weights import BASE_STEPS, dyadic, with_weights
 
 Vector3 = tuple[float, float, float]
@@ -165,7 +165,7 @@ def drawable(kind: str) -> bytes:
     """Returns the file valid-KIND. Those that are made have odd render information."""
     _, _, form = kind.rpartition("-")
     if not kind.startswith("drawn"):
-        return (VECTORS / "valid" / f"{kind}.c3gs").read_bytes()
+        return stored(f"valid/{kind}.c3gs")
     odd = ODD
     if form == "drawn":
         made = _made()

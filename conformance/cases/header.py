@@ -11,7 +11,7 @@ from functools import partial
 
 import numpy as np
 
-from refcodec.bitstream.header import ALPHA_MOST, HEADER_LENGTH_MAX, PROLOGUE_BYTES, PositionGrid, RenderInfo
+from refcodec.bitstream.header import ALPHA_MOST, HEADER_LENGTH_MAX, MAJOR, PROLOGUE_BYTES, PositionGrid, RenderInfo
 from refcodec.bitstream.limits import MAIN
 from refcodec.bitstream.scene import Scene
 
@@ -46,9 +46,9 @@ def prologue_byte(t: Target, at: int, bits: int) -> Edit:
     return Edit(t.flip(at, bits), 16, Depth.NOTHING)
 
 
-@fault("prologue.version", (1, 0xFFFF), (0, 0xFFFF))
+@fault("prologue.version", lambda d, t: (MAJOR + d.integer(1, 0xFFFF)) % (1 << 16), (0, 0xFFFF))
 def version(t: Target, major: int, minor: int = 0) -> Edit:
-    """The major version is not 0."""
+    """The major version is not MAJOR."""
     return Edit(t.pack({"prologue.major": major, "prologue.minor": minor}), 8, Depth.PROLOGUE)
 
 
@@ -158,9 +158,10 @@ CASES = [
     *refused("prologue", "checksum-unchecked", *(
         (f"prologue-crc-{name}", f"the prologue's CRC-32 does not match: byte {at} is changed", prologue_byte, at, 0x40)
         for at, name in ((8, "version"), (10, "minor"), (15, "header-length"), (19, "itself")))),
+    # The version before, if there is one, and later ones.
     *refused("prologue", "version-unchecked", *(
         (f"prologue-version-{major}", f"version {major}.{minor}", version, major, minor)
-        for major, minor in ((1, 0), (256, 0), (65535, 1)))),
+        for major, minor in ((MAJOR + 1, 0), (256, 0), (65535, 1), *[(MAJOR - 1, 0)][: MAJOR]))),
     *refused("prologue", "limit-off-by-one", *(
         (f"prologue-header-length-{value}", f"header_length {value}", header_length, value)
         for value in (0, 3, 65533, 65536))),

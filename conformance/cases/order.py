@@ -6,7 +6,7 @@ The order of checks is the order of the file, but for lengths and ends. A chain 
 from functools import partial
 
 from refcodec.bitstream.directory import FRAME, INDEX, PLANES_SECTION, WEIGHTS
-from refcodec.bitstream.header import Lanes
+from refcodec.bitstream.header import MAJOR, Lanes
 from refcodec.bitstream.scene import Scene
 
 from . import attributes, chunks, context, directory, header, index, limits, networks, planes, positions, weights_packed
@@ -103,7 +103,7 @@ _HEADER = [
          (header.prologue_byte, 16, 0x55)),
         ("crc-and-version", "the prologue's CRC-32, and the version", (header.prologue_byte, 8, 1),
          (_no_header, "header_length", 0)),
-        ("version-and-header-length", "version 1, and a header_length of 0", (header.version, 1),
+        ("version-and-header-length", f"version {MAJOR + 1}, and a header_length of 0", (header.version, MAJOR + 1),
          (header.header_length, 0), (header.header_byte, 10, 0x55)),
         ("header-crc-and-profile", "the header's CRC-32, and the profile", (header.header_byte, -1, 0x55), _PROFILE),
         ("reserved-and-profile-last-entry", "the last entry's reserved, and the profile",

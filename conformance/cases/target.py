@@ -10,7 +10,7 @@ from typing import Any
 from refcodec.bitstream import codec, directory, syntax
 from refcodec.bitstream.dimensions import layers_of
 from refcodec.bitstream.directory import Section
-from refcodec.bitstream.header import PROLOGUE_BYTES, SIGNATURE
+from refcodec.bitstream.header import MAJOR, PROLOGUE_BYTES, SIGNATURE
 from refcodec.bitstream.planes import PLANE_NAMES
 from refcodec.bitstream.source import pad4
 from refcodec.bitstream.syntax import Element
@@ -180,7 +180,7 @@ class Target:
         fields = copy.deepcopy(self.fields)
         change(fields)
         built = syntax.build("Header", fields)
-        head = {"signature": SIGNATURE, "major": 0, "minor": 0, "header_length": len(built), "prologue_crc": 0}
+        head = {"signature": SIGNATURE, "major": MAJOR, "minor": 0, "header_length": len(built), "prologue_crc": 0}
         return repair(syntax.build("Prologue", head) + built + self.data[self.header_end :])
 
     def with_substream(self, path: str, content: bytes) -> bytes:

@@ -11,11 +11,12 @@ import numpy as np
 
 from refcodec.bitstream import codec
 from refcodec.bitstream.directory import SECTIONS
-from refcodec.bitstream.header import Lanes
+from refcodec.bitstream.header import Lanes, restamped
 from refcodec.bitstream.scene import Ancillary, Scene
 from refcodec.bitstream.tables import tables
 from refcodec.encoder.positions import position_model
 
+from ..manifest import VECTORS
 from .numbers import Numbers
 from .samplers import drawn
 from .scenes import (
@@ -43,6 +44,11 @@ SEEDS = 6
 _SMALL = replace(TINY_DIMENSIONS, hyper_width=(2,), carm_width=(2,), render_width=1)
 # The first substream of attributes, which is the only one of some files.
 ATTRIBUTES_0 = "attributes[chunk 0]"
+
+
+def stored(path: str) -> bytes:
+    """Returns a file of the suite. It may be of the major version before (`python -m release --major`)."""
+    return restamped((VECTORS / path).read_bytes())
 
 
 def target_of(make: Callable[..., Scene]) -> Callable[..., Target]:

@@ -17,18 +17,17 @@ from refcodec.bitstream.positions import CELL_INDEX, chunk_codes
 from refcodec.bitstream.scene import Ancillary, Scene
 from refcodec.bitstream.weights import packable
 
-from ..manifest import VECTORS
 from .numbers import Int64, Numbers
 from .samplers import Sampler, drawn, sampled
 from .scenes import any_model, drawn_symbols, lattice, positions, scene
 from .table import More, valid
-from .targets import BEHIND
+from .targets import BEHIND, stored
 from .weights import Networks, dyadic
 
 
 def _trained(name: str) -> Scene:
     """Encodes the scene of the vector again, which reveals changes of the encoder."""
-    return codec.parse((VECTORS / "valid" / f"trained-{name}.c3gs").read_bytes()).scene
+    return codec.parse(stored(f"valid/trained-{name}.c3gs")).scene
 
 
 def _widths(numbers: Numbers, count: tuple[int, int], most: int) -> tuple[int, ...]:
@@ -205,7 +204,7 @@ def unusual(seed: int) -> Scene:
 _TRAINED = "D7.2-1 D7.2-2 D7.3-1 D7.5-1 D7.6-1 D7.9-1 D7.10-1 D9.1-1 D9.2-1"
 CASES = [
     *valid("substream attributes", "", "D7.3-1 D7.6-1 D7.10-1 D8.2-1",
-        ("worked-example", "the example of Annex D", (VECTORS / "tiny-example.c3gs").read_bytes)),
+        ("worked-example", "the example of Annex D", stored, "tiny-example.c3gs")),
     *valid("substream attributes carm planes masks", "context-order carm-ignored stage-order",
         "D7.2-2 D7.3-1 D7.5-1 D7.6-1 D7.7-1 D7.9-1 D7.10-1 D8.2-1 D8.5-1",
         ("plain", "a small file of profile Tiny", drawn, "plain", 12)),

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from ..formats.splats import Splats
     from ..rendering.camera import Camera
     from ..statuses import UsageError
-    from .coding import decode, digest, encode, reconstruct, validate
+    from .coding import decode, digest, encode, migrate, reconstruct, validate
     from .command import Report
     from .converting import convert
     from .drawing import evaluate, gaussians, render
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 # The commands by their modules. A command line imports only its own module.
 COMMANDS = {
-    "coding": ("encode", "decode", "digest", "reconstruct", "validate"),
+    "coding": ("encode", "decode", "digest", "reconstruct", "validate", "migrate"),
     "looking": ("explain", "inspect"),
     "drawing": ("gaussians", "render", "evaluate"),
     "exporting": ("export",),
@@ -59,7 +59,8 @@ _HOMES = {
 }
 __all__ = ["BitstreamError", "BoundPassedError", "Camera", "File", "Limits", "Report", "Scene", "Splats", "UsageError"]
 __all__ += ["convert", "decode", "demo", "digest", "encode", "evaluate", "experiment", "explain", "export", "fit"]
-__all__ += ["gaussians", "inspect", "open", "rd", "reconstruct", "render", "splats", "train", "validate", "view"]
+__all__ += ["gaussians", "inspect", "migrate", "open"]
+__all__ += ["rd", "reconstruct", "render", "splats", "train", "validate", "view"]
 
 
 def __getattr__(name: str) -> object:

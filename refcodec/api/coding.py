@@ -331,3 +331,38 @@ def reconstruct(
         whole.write(digested(scene))
         for _, piece in pieces(scene):
             whole.write(piece)
+
+
+@command(requires=("output",), writes=True)
+def migrate(file: kinds.AnyPath, output: kinds.AnyPath, **words: Unpack[ReadingWords]) -> Report:
+    """Rewrite a file of version 0, the draft of the format, in the version of this program.
+
+    The version and the CRC-32 of the prologue change, and nothing else. The file must have the last layout of version
+    0. A file that has the version of this program already is copied. The new file is decoded before it is written. Its
+    digest, which is printed, is the one that programs of version 0 print for the old file.
+
+    Args:
+        output: the C3GS file to write.
+
+    Examples:
+        migrate old.c3gs -o new.c3gs
+
+    Raises BitstreamError, BoundPassedError and OSError as `decode`.
+    """
+    from ..bitstream.errors import BitstreamError
+    from ..bitstream.header import MAJOR, PROLOGUE_BYTES, parse_prologue, restamped
+    from ..folder.places import C3GS, check_outputs, read_whole
+
+    check_outputs([file], (output, C3GS))
+    data, done = read_whole(file, words), "has this version already, and is copied"
+    try:
+        parse_prologue(data[:PROLOGUE_BYTES])
+    except BitstreamError as error:
+        if (error.kind.name, error.found) != ("prologue.version", "0"):
+            raise
+        data, done = restamped(data), "was of version 0"
+    whole = digest(data, **words)
+    assert isinstance(whole, str)
+    write_file(Path(output), data)
+    lines = [f"{os.fspath(output)}: version {MAJOR}, digest {whole}; {os.fspath(file)} {done}"]
+    return Report(lines, {"bytes": len(data), "version": MAJOR, "digest": whole})

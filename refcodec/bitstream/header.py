@@ -14,7 +14,7 @@ from .errors import BitstreamError
 from .limits import MAIN, PROFILES, TINY, dimension_fault, minimal_level
 from .source import Piece, Source, padded
 
-# SPEC 6.1
+# SPEC 6.1. The major version stands here, and `python -m spec` writes it wherever else it is stated.
 SIGNATURE = b"\x89C3GS\r\n\x1a"
 MAJOR, MINOR = 0, 0
 PROLOGUE_BYTES = syntax.size_of("Prologue")
@@ -138,6 +138,12 @@ def parse_prologue(data: bytes) -> tuple[int, int]:
         allowed = f"a multiple of 4 from {HEADER_LENGTH_MIN} to {HEADER_LENGTH_MAX}"
         raise prologue.error("prologue.header_length", "header_length", length, allowed)
     return int(p.minor), length
+
+
+def restamped(data: bytes, major: int = MAJOR) -> bytes:
+    """SPEC 5.1: returns a file with another major version and the CRC-32 of its prologue. Nothing else changes."""
+    start = data[: len(SIGNATURE)] + major.to_bytes(2, "little") + data[10 : PROLOGUE_BYTES - CRC_BYTES]
+    return start + zlib.crc32(start).to_bytes(CRC_BYTES, "little") + data[PROLOGUE_BYTES:]
 
 
 # --- header -----------------------------------------------------------------------------------------------------------

@@ -111,6 +111,10 @@ def _reject(file: str, error: BitstreamError) -> int:
     kind = looks_like(bytes.fromhex(error.found[:23])) if error.kind.name == "prologue.signature" else None
     spot = f"To see the spot: refcodec inspect {shell_word(file)} --near {error.offset}"
     advice = f"It looks like {kind}" if kind else f"{likely_cause(error.kind.name)} {spot}"
+    if (error.kind.name, error.found) == ("prologue.version", "0"):
+        advice = (
+            f"Version 0 was the draft; refcodec migrate {shell_word(file)} -o NEW rewrites a file of its last layout"
+        )
     note(f"{file} {word}: {error}. {advice}")
     note(error.to_json())
     return error.exit_status

@@ -118,10 +118,11 @@ class AncillaryFields(Struct):
 class SceneFile(Struct):
     """scene.json. The optional fields are choices of the encoder where they are missing.
 
-    SPEC 15.3: the minor version and unknown header bytes are those of the source.
+    SPEC 15.3: the minor version and unknown header bytes are those of the source. A folder of version 0 has the same
+    members.
     """
 
-    version: Annotated[int, Meta(ge=MAJOR, le=MAJOR)]
+    version: Annotated[int, Meta(ge=0, le=MAJOR)]
     profile: str
     dimensions: Dimensions
     chunk_size: int

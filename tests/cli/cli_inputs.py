@@ -30,6 +30,7 @@ DECODING = [
     "digest FILE",
     "decode FILE -o new",
     "reconstruct FILE new --trace new.txt",
+    "migrate FILE -o new",
     "gaussians FILE camera.json new",
     "inspect FILE --trace",
     "render FILE -o new",

@@ -14,6 +14,7 @@ from conformance.cases.target import Target
 from conformance.manifest import MANIFEST, VECTORS
 from refcodec.bitstream import codec
 from refcodec.bitstream.errors import BitstreamError
+from refcodec.bitstream.header import MAJOR
 from refcodec.bitstream.reconstruction import canonical_head, canonical_parts, digest, digested
 from refcodec.bitstream.scene import Ancillary
 from refcodec.inspect.trace import symbol_trace
@@ -123,7 +124,7 @@ def build(
                 "generator": {"name": "test", "seed": 0},
             }
         )
-    manifest = {"suite": "c3gs-conformance", "suite_version": "0.0.1", "format_version": 0}
+    manifest = {"suite": "c3gs-conformance", "suite_version": "0.0.1", "format_version": MAJOR}
     manifest |= {"flags": {}, "features": {"header": "it"}, "vectors": vectors}
     (folder / MANIFEST).write_text(json.dumps(manifest))
     (answers / "answers.json").write_text(json.dumps(known))

@@ -36,6 +36,7 @@ COMMANDS: list[tuple[tuple[str, ...], int]] = [
     (("refcodec", "fit", "cloud.ply", "-o", "new"), USAGE),
     (("refcodec", "gaussians", "scene.c3gs", "camera.json", "gaussians.json"), DONE),
     (("refcodec", "inspect", "scene.c3gs"), DONE),
+    (("refcodec", "migrate", "scene.c3gs", "-o", "new.c3gs"), DONE),
     (("refcodec", "rd", "folder", "-o", "new"), USAGE),
     (("refcodec", "reconstruct", "scene.c3gs", "output"), DONE),
     (("refcodec", "render", "scene.c3gs", "-o", "images"), DONE),
