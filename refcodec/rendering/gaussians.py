@@ -206,6 +206,6 @@ def gaussians_document(gaussians: Gaussians) -> dict[str, Any]:
     """Returns Gaussians as JSON values (vectors/README.md). SPEC 14.4: those that are not finite are left out."""
     kinds = ("anchor", "offset", "mean", "lengths", "quaternion", "opacity", "colour")
     columns = [getattr(gaussians, kind) for kind in kinds]
-    finite = np.all([np.isfinite(column.reshape(len(column), -1)).all(axis=1) for column in columns], axis=0)
+    finite = np.all([np.isfinite(column).all(axis=tuple(range(1, column.ndim))) for column in columns], axis=0)
     columns = [column[finite].tolist() for column in columns]
     return {"gaussians": [dict(zip(kinds, row, strict=True)) for row in zip(*columns, strict=True)]}
