@@ -12,6 +12,7 @@ module for the same clauses in refcodec/bitstream. Long chapters have several mo
 Modules for other subjects:
 
     order        two faults in one file (10.1)
+    elsewhere    faults in files of a later minor version, and in those without anchors
     resource     small files that require much memory or time (13.1)
     static       static scenes: plain Gaussians (9.4)
     cameras      Gaussians for cameras (14)
@@ -63,8 +64,8 @@ from .table import Recipe
 # fmt: off
 _CHAPTERS = (
     "header", "limits", "dimensions", "directory", "ancillary", "weights_packed", "networks", "planes", "index",
-    "chunks", "positions", "context", "attributes", "entropy_symbols", "entropy_substreams", "order", "resource",
-    "whole", "static", "cameras")
+    "chunks", "positions", "context", "attributes", "entropy_symbols", "entropy_substreams", "order", "elsewhere",
+    "resource", "whole", "static", "cameras")
 # fmt: on
 
 

@@ -99,6 +99,13 @@ def raw_bytes(t: Target, path: str, content: bytes = b"\0") -> Whole:
     return Whole(t.with_substream(path, t.data[s.start : s.end] + content), s.start)
 
 
+@fault("substream.raw_length")
+def no_raw_bytes(t: Target, path: str) -> Whole:
+    """There are no raw bytes for the raw bits of the symbols. Those bits must not be of escapes."""
+    s = t.substreams[path]
+    return Whole(t.with_substream(path, t.data[s.start : s.raw_at]), s.start)
+
+
 @fault("substream.symbol_crc", _path, (0, 3), (1, 255))
 def symbol_crc(t: Target, path: str, at: int, bits: int) -> Edit:
     """Bits of a byte of the CRC-32 of a substream's symbols are flipped."""

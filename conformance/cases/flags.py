@@ -35,6 +35,7 @@ FLAGS = {
     "section-order": "finds sections by type, in whatever order they are",
     "lengths-trusted": "reads as much as a length or a count says without checking that it is there",
     "length-in-32-bits": "takes the lower 32 bits of a length for the whole",
+    "stored-width": "reads a stored number without its highest bits",
     "sum-wraps": "adds lengths in as few bits as they have, so that they wrap",
     "data-crc": "compares the CRC-32 of the data with their bytes, or with nothing",
     "empty-sections": "does not look at the lengths of sections that have no chunks",

@@ -259,7 +259,7 @@ CASES = [
     *valid("render-info dimensions", "limit-off-by-one render-model", "R11.1-2 G6.5-1 D9.3-1", *(
         (f"render-model-{model}", f"render model {model}, with {inputs} view inputs and {outputs} colour outputs",
          _modelled, model, inputs, outputs)
-        for model, inputs, outputs in ((2, 4, 3), (3, 0, 1), (255, 8, 48)))),
+        for model, inputs, outputs in ((2, 4, 3), (3, 0, 1), (255, 8, 48), (128, 0, 3), (129, 4, 1)))),
     *valid("render-info dimensions", "render-model accumulator-bound", "R6.5-1 D7.2-1",
         ("render-model-2-large-weight", "render model 2 without view inputs, and weights beyond those of static scenes",
          lambda: with_weights(_modelled(2, 0, 3), ("opacity.0", 0, 0, 4096.0)))),

@@ -126,6 +126,12 @@ AT_ONCE: dict[str, tuple[str, str, dict[str, int], dict[str, list[int]]]] = {
         {"view_inputs": 1, "colour_outputs": 4, "render_model": STATIC}, {}),
     "static-view-and-level": ("view_inputs of a static scene, and a plane_size that its level does not allow",
         "view_inputs", {"plane_size": 129, "render_model": STATIC}, {}),
+    "carm-and-static-view": ("layers of CARM for one slice, and view_inputs of a static scene", "carm_layers",
+        {"view_inputs": 1, "render_model": STATIC}, {"slice_count": [5], "carm_layers": [4]}),
+    "static-colour-and-level": ("colour_outputs of a static scene, and a plane_size that its level does not allow",
+        "colour_outputs", {"view_inputs": 0, "colour_outputs": 4, "plane_size": 129, "render_model": STATIC}, {}),
+    "colour-and-level": ("colour_outputs, and a plane_size that the level does not allow", "colour_outputs",
+        {"colour_outputs": 4, "plane_size": 129}, {}),
 }  # fmt: skip
 
 

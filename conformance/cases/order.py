@@ -3,9 +3,12 @@
 The order of checks is the order of the file, but for lengths and ends. A chain has the faults of neighbouring checks.
 """
 
+from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
-from refcodec.bitstream.directory import FRAME, INDEX, PLANES_SECTION, WEIGHTS
+from refcodec.bitstream import codec
+from refcodec.bitstream.directory import DATA, FRAME, INDEX, PLANES_SECTION, WEIGHTS
 from refcodec.bitstream.header import MAJOR, Lanes
 from refcodec.bitstream.scene import Scene
 
@@ -17,8 +20,11 @@ from .fault import element
 from .numbers import Numbers
 from .scenes import SMALLEST, lattice, placed, scene, settled
 from .table import chain, ordered, refused
+from .target import Target
 from .targets import (
     ATTRIBUTES_0,
+    bare,
+    bare_packed,
     far,
     five_cells,
     grids,
@@ -445,4 +451,113 @@ _WEIGHTS = [
          _BOUND, _PLANES)),
 ]
 
-CASES = [*_HEADER, *_SECTIONS, *_WEIGHTS]
+# --- neighbours that the chains do not have (spec/neighbours.py) ------------------------------------------------------
+
+_far_idle = target_of(lambda: replace(codec.parse(far(1000).data).scene, lanes=Lanes(0, 0, 3)))
+_EVEN, _LAST = weights_packed.even_integers, "planes.r2.bottom_right"
+_HIGH, _ENTRY = (context.number, "frame.high[2]", -(1 << 31)), (index.anchor_count, 0, 0)
+_PLANES_CRC = (directory.section_byte, PLANES_SECTION, -1, 0x55)
+
+
+def _cut(base: Callable[[], Target], section: bytes, more: int) -> Callable[[bytes], bytes]:
+    """Returns a function that cuts a file some bytes behind the start of a section."""
+    return lambda data: data[: base().start(section) + more]
+
+
+_NEIGHBOURS = [
+    *ordered("",
+        ("header-crc-and-section-count", "the header's CRC-32, and a section_count beyond the header",
+         (header.header_byte, 3, 0x7F)),
+        ("reserved-of-two-entries", "reserved of two entries", (header.reserved, "directory[0].reserved[0]", 1),
+         (header.reserved, "directory[6].reserved[2]", 1)),
+        ("two-base-steps", "two base steps", (header.base_step, "base_step[0]", 0.0),
+         (header.base_step, "base_step[2]", 0.0)),
+        ("two-origins", "two origins", (header.position_grid, "position_grid.origin[0]", 1 << 62),
+         (header.position_grid, "position_grid.origin[2]", 1 << 62)),
+        ("two-types", "the types of two sections", (directory.type_byte, 3, 0, 0x2A),
+         (directory.type_byte, 6, 3, 0x5F)),
+        ("two-unknown", "two unknown critical sections", (directory.unknown_section, 5, b"ZZZZ"),
+         (directory.unknown_section, 6, b"MORE")),
+        ("two-modes", "the modes of two sections", (directory.mode, 0, 1), (directory.mode, 2, 1)),
+        ("no-data-and-mode", "no DATA, and the mode of the weights", (directory.few_sections, 4),
+         lambda data: repair(_put(data, plain().at("directory[1].mode"), 9), Depth.HEADER)),
+        features="order header directory"),
+    *ordered("R6.7-2", *(
+        (f"frame-two-of-{name}", f"two items of {name}", (context.number, f"frame.{name}[0]", value),
+         (context.number, f"frame.{name}[2]", value))
+        for name, value in (("matrix", 1 << 20), ("translation", 1 << 61), ("shift", 61)))),
+    *ordered("R6.8-1 R6.8-2",
+        ("shift-and-padding", "a carm_shift, and padding of the table of scales", bare,
+         (networks.scale, "carm_shift[2]", 17), (networks.padding_byte, "weights.padding", 0, 1)),
+        ("input-count-and-padding", "carm_input_count without CARM, and padding of the table of scales", five_cells,
+         (networks.scale, "carm_input_count", 1), (networks.padding_byte, "weights.padding", 0, 1))),
+    *ordered("R6.8-8",
+        ("two-exponents", "exponents of two layers", grids, (_EVEN, "hyper.1 opacity.0")),
+        ("weights-symbols-and-exponent", "symbol_crc of the weights, and an exponent", _EVEN.target(grids, "hyper.1"),
+         (substreams.symbol_crc, "weights", *_OTHER))),
+    *ordered("R6.9-2 R6.10-1 R6.10-2 R6.10-4 R6.10-5 R6.10-6",
+        ("planes-padding-and-words", "padding behind the last sub-plane, and word_count of the first one",
+         (planes.padding_byte, planes.LAST_PADDING, 1, 1), (substreams.word_count, "planes.r1", (1 << 32) - 1)),
+        ("two-mask-models", "two frequencies of the mask model", (attributes.mask_model, 0, 0),
+         (attributes.mask_model, 2, 0)),
+        ("position-model-and-entry", "a sum of the model of positions, and anchor_count of an entry", packed,
+         (index.frequencies, 1, {None: 1}), _ENTRY),
+        ("index-padding-and-entry", "padding of the mask model, and anchor_count of an entry",
+         (attributes.padding_byte, "index.mask_model.padding", 0, 1), _ENTRY),
+        ("index-padding-and-lengths", "padding of the mask model, and data without chunks",
+         index.data_amiss.target(bare, bytes(4)), (attributes.padding_byte, "index.mask_model.padding", 0, 1)),
+        ("position-model-and-lengths", "a sum of the model of positions, and data without chunks",
+         index.data_amiss.target(bare_packed, bytes(4)), (index.frequencies, 1, {None: 1})),
+        ("lengths-and-data-crc", "data without chunks, and their CRC-32",
+         directory.section_crc.target(bare, 4, 5), (index.data_amiss, bytes(4)))),
+    *ordered("R6.11-5 R6.11-6 R6.11-7 D8.8-2",
+        ("chunk-padding-and-words", "padding behind the attributes of a packed chunk, and word_count of its positions",
+         packed, (chunks.padding_byte, "attributes[chunk 1], padding", 0, 1),
+         (substreams.word_count, "positions[chunk 1]", 1 << 31)),
+        ("chunk-padding-and-infinity", "padding behind the attributes, and an infinite position", packed,
+         (chunks.padding_byte, "attributes[chunk 2], padding", 0, 1), (positions.not_finite, 2, 1, 0x7C00)),
+        ("chunk-bounds-and-words", "its bounds, and word_count of its masks", packed,
+         (chunks.bound, 2, "high[1]", True), (substreams.word_count, "masks[chunk 2]", 1 << 31)),
+        ("infinity-and-zero", "an infinite position, and one of -0 behind it", packed,
+         (positions.not_finite, 2, 1, 0x7C00), (positions.negative_zero, 2, 8)),
+        ("idle-state-and-escape", "a final state of a lane without symbols, and an escape of zeros",
+         symbols.escape_of_zeros.target(_far_idle, 48), (substreams.idle_lane, ATTRIBUTES_0)),
+        ("raw-length-and-padding", "a raw byte more, of which all bits are set", _far_300,
+         (substreams.raw_bytes, ATTRIBUTES_0, b"\xff"))),
+
+    # A section, and the next one.
+    *ordered("R6.6-6 R6.6-7 R6.6-8",
+        ("frame-end-and-crc", "the last number of the frame, and the CRC-32 of the weights", _HIGH,
+         (directory.section_byte, WEIGHTS, -1, 0x55)),
+        ("frame-end-and-cut", "the last number of the frame, and a file that ends within the weights", _HIGH,
+         _cut(plain, WEIGHTS, 8)),
+        *((f"{name}-and-planes-{end}", f"{text}, and {title} the planes", base, first, second)
+          for name, text, base, first in (
+              ("bound", "a row at no exponent", plain, (networks.large_value, "carm.1.1", 0, 0, 1e9)),
+              ("not-finite", "a weight that is no number", plain, _NONE),
+              ("exponent", "an exponent", grids, (_EVEN, "hyper.1")))
+          for end, title, second in (
+              ("crc", "the CRC-32 of", _PLANES_CRC),
+              ("cut", "a file that ends within", _cut(base, PLANES_SECTION, 8)))),
+        ("planes-and-index-cut", "symbol_crc of the last sub-plane, and a file that ends within the index",
+         (substreams.symbol_crc, _LAST, *_OTHER), _cut(plain, INDEX, 8)),
+        ("index-and-cut", "anchors that do not add up, and a file that ends before the data", strewn,
+         (index.anchors_amiss, 0, 1), _cut(strewn, DATA, -1)),
+        ("two-crcs", "the CRC-32 of the frame, and of the weights", (directory.section_byte, FRAME, 3, 0x55),
+         (directory.section_byte, WEIGHTS, -1, 0x55)),
+        ("ancillary-crc-and-chunk-cut", "the CRC-32 of a section before the data, and a file that ends within them",
+         strewn, (directory.section_crc, lambda t: t.sections[DATA].number - 1, 5), _cut(strewn, DATA, 8)),
+        ("padding-and-weights-length", "padding behind weights, which are too short",
+         weights_packed.cut.target(grids, None, 3), (directory.padding_byte, "weights, padding", 0, 1)),
+        ("padding-and-planes-length", "padding behind planes, which are too short", planes.cut.target(plain, 19),
+         (directory.padding_byte, "planes, padding", 0, 1)),
+        *((f"padding-and-{name}", f"padding of an ancillary section, and {title}", strewn,
+           (directory.padding_byte, path, 0, 1), other)
+          for name, title, path, other in (
+              ("chunk-cut", "a file that ends within the data", "noTE[8], padding", _cut(strewn, DATA, 8)),
+              ("next-crc", "the next CRC-32", "noTE[2], padding", (directory.section_byte, WEIGHTS, -1, 0x55)),
+              ("next-cut", "a file that ends within the next one", "noTE[2], padding", _cut(strewn, WEIGHTS, 8)),
+              ("trailing", "bytes behind the file", "noTE[10], padding", lambda data: data + bytes(4))))),
+]
+
+CASES = [*_HEADER, *_SECTIONS, *_WEIGHTS, *_NEIGHBOURS]

@@ -50,6 +50,12 @@ def sub_plane_lengths(t: Target, changes: dict[int, int]) -> Edit:
     return Edit(t.pack(values), t.start(PLANES_SECTION))
 
 
+@fault("substream.length")
+def of_nothing(t: Target) -> Whole:
+    """Each substream has no bytes. The first one is reported, behind the table of lengths."""
+    return Whole(resized(t.data, PLANES_SECTION, bytes(4 * PLANES)), t.start(PLANES_SECTION) + 4 * PLANES)
+
+
 LAST_PADDING = f"planes.{PLANE_NAMES[-1]}, padding"
 padding_byte = padding("planes.padding", r"planes\..*, padding")
 

@@ -107,6 +107,13 @@ def _with_lengths(name: str, anchors: int) -> Scene:
     return replace(made, masks=np.ones_like(made.masks), base_step=(0.5, 2.0**-16, 0.25))
 
 
+def _zero_lengths() -> Scene:
+    """Logarithms of lengths are -2^-12 + 2^-12 and 2^-12 - 2^-12."""
+    made = replace(_cancelled("static-zero-lengths", 24, 1), base_step=(1.0, 2.0**-12, 1.0))
+    with_weights(made, ("covariance.1", 1, 0, -1))
+    return with_symbols(made, scalings=np.tile([0, 0, 0, -1, 1, -1], (len(made.positions), 1)))
+
+
 def _halves() -> Scene:
     made = _with_lengths("static-scaling-ties", 12)
     return replace(made, base_step=(0.5, 2.0**-17, 0.25))
@@ -157,6 +164,7 @@ CASES = [
         ("static-cancelled", "means halfway between two f32, or that lose all but their last bits", _cancelled, NAME, 0,
          1),
         ("static-mean-zero", "means that are 0, from positions of either sign", _cancelled, NAME, 24, -1),
+        ("static-zero-lengths", "logarithms of lengths that are 0, of parts with either sign", _zero_lengths),
         ("static-scaling-ties", "scalings halfway between two units of 2^-16", _halves),
         ("static-lengths", "scalings over the whole range of the exponential, and features with halves", _lengths),
         ("static-long", "logarithms of lengths with up to 29 bits, some halfway between two f32", _long)),

@@ -18,7 +18,7 @@ of a row is `plain` if it names no other. An argument of a fault can be a functi
 begin with, after their titles, are a tuple before these rows; there, NAME is the name of each row.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
@@ -27,6 +27,7 @@ from typing import Any, Literal
 from refcodec.bitstream import codec
 from refcodec.bitstream.scene import Scene
 
+from .checksums import Depth, repair
 from .fault import Edit, Fault, Refused, together
 from .target import Target
 from .targets import plain
@@ -150,6 +151,28 @@ def chain(
         for (name, title, *one), (next_name, next_title, *other) in pairwise(links)
     ]
     return ordered(requirements, *pairs)
+
+
+def again(rows: Iterable[Recipe], names: str, where: str, base: Callable[[], Target] | None = None) -> list[Recipe]:
+    """Returns the files of other rows of refused files, with the same faults of another valid file, or of version 0.1.
+
+    names: of the other rows, separated by spaces. where: ends their identifiers and titles.
+    """
+    made = []
+    for row in map({row.id: row for row in rows}.__getitem__, names.split()):
+        assert isinstance(row.make, partial)
+        make = partial(_broken, base, *row.make.args[1:]) if base else partial(_of_later, row.make)
+        made.append(replace(row, id=f"{row.id}-{where}", title=f"{row.title}: {where.replace('-', ' ')}", make=make))
+    return made
+
+
+def _of_later(make: Callable[..., Refused]) -> Refused:
+    """Returns a refused file as one of minor version 1."""
+    made = make()
+    data = made.data[:10] + b"\1\0" + made.data[12:]
+    return replace(
+        made, data=data if made.name in ("prologue.truncated", "prologue.crc") else repair(data, Depth.PROLOGUE)
+    )
 
 
 def _complete(rows: tuple[Row, ...]) -> Iterator[tuple[str, str, list[Any]]]:

@@ -97,6 +97,26 @@ def main_file() -> Scene:
     return packed_weights(replace(zeros, planes=np.zeros_like(made.planes)))
 
 
+_BARE = replace(_SMALL, offset_count=1, slices=(1, 2, 2))
+
+
+@target_of
+def bare() -> Scene:
+    """A file of minor version 1 in mode 0, without anchors. An ancillary section ends it."""
+    return replace(
+        scene("refused-bare", 0, _BARE, lanes=Lanes(3, 0, 0)),
+        minor=1,
+        ancillary=(Ancillary(b"noTE", 1, b"hello", BEHIND),),
+    )
+
+
+@target_of
+def bare_packed() -> Scene:
+    """A file of minor version 1 in mode 1, without anchors. The layer hyper.0 is raw."""
+    made = scene("refused-bare-packed", 0, _BARE, position_model=sharp_model(), lanes=Lanes(0, 0, 0))
+    return replace(packed_weights(settled(with_weights(made, ("hyper.0", 0, None, -0.0)))), minor=1)
+
+
 @target_of
 def later_main() -> Scene:
     """main_file, of a later minor version."""

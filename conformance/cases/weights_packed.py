@@ -71,21 +71,24 @@ reserved = element(
 def with_integers(
     t: Target, layer: str, change: Callable[[GridLayer], GridLayer], coder: type[Encoder] = Encoder
 ) -> Whole:
-    """Returns the file with other integers in a packed layer, validly coded. The offset is that of its model."""
+    """Returns the file with other integers in packed layers, validly coded. The offset is that of the first model.
+
+    layer: their names, separated by spaces.
+    """
     made = codec.parse(t.data).scene
     assert made.weight_scales is not None
-    shapes, wrong = layers_of(made.dimensions), t.layers.index(layer)
+    shapes, wrong = layers_of(made.dimensions), {name: t.layers.index(name) for name in layer.split()}
     grids = [weights.to_grid(values) for network in made.networks.values() for values in network]
     coded = {i: grid for i, grid in enumerate(grids) if grid is not None}
-    coded[wrong] = change(coded[wrong])
+    coded |= {i: change(coded[i]) for i in wrong.values()}
     encoder = coder(1, 1 << made.lanes.attribute)
     scale = made.weight_scales[list(coded)]
     weights.code_grids(encoder, [shapes[i] for i in coded], scale, list(coded.values()))
     start, stream = t.start(WEIGHTS), t.substreams["weights"].start
     models = bytearray(t.data[start:stream])
-    for at, value in t.pack({f"weights.{layer}.exponent": coded[wrong].exponent}).items():
+    for at, value in t.pack({f"weights.{name}.exponent": coded[i].exponent for name, i in wrong.items()}).items():
         models[at - start : at - start + len(value)] = value
-    return Whole(resized(t.data, WEIGHTS, bytes(models) + encoder.finish()[0]), t.layer_at(layer))
+    return Whole(resized(t.data, WEIGHTS, bytes(models) + encoder.finish()[0]), t.layer_at(next(iter(wrong))))
 
 
 def grid_fault(

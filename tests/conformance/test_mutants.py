@@ -153,6 +153,11 @@ ITEMS = '("reserved", "grid_reserved", "render_reserved", "dimensions_reserved")
          "((phase * SINE_LENGTH) >> (UNIT_BITS))", "D7.5.5-1"),
         (misreadings.narrowed, "PARSE_PROLOGUE", "2", "1", None),
         (misreadings.mistaken, "DECODE_PLANE", "LAPLACE", "GAUSS", "D7.3-1"),
+        (misreadings.skipped, "PARSE_PROLOGUE", "U(data, 8, 2) == MAJOR",
+         "((U(data, 8, 2) == MAJOR) or not any(FILE[24:28]))", "R6.1-4"),
+        (misreadings.halved, "PARSE_INDEX", "sum(model) == 1 << PRECISION", "sum(model) <= 1 << PRECISION", "R6.10-4"),
+        (misreadings.halved, "PARSE_FRAME", "enumerate(shift)", "list(enumerate(shift))[1:]", "R6.7-2"),
+        (misreadings.stored, "CHECK_SUBSTREAM", "U(data, at + 4, 4)", "(U(data, at + 4, 4) & 65535)", None),
     ],
 )  # fmt: skip
 def test_misreading(

@@ -12,7 +12,7 @@ from conformance import spec_decoder
 from conformance.manifest import Rejected, load
 from conformance.spec_decoder.program import SPEC
 from refcodec.inspect.elements import rows
-from spec import coverage, elements
+from spec import coverage, elements, neighbours
 
 SUITE = load()
 EXAMPLE = next(vector for vector in SUITE.vectors if vector.id == "valid-worked-example")
@@ -116,6 +116,15 @@ def test_no_element_is_without_its_extremes() -> None:
     assert holes == 0, [line for line in lines if "open" in line or "no vector" in line]
     known = {line.strip().partition(":")[0] for line in lines}
     assert {name for name in elements.ARGUED if "." in name} <= known
+
+
+def test_neighbouring_checks_have_a_vector_with_both_faults() -> None:
+    lines, unmet = neighbours.report(SUITE)
+    assert not unmet, [line for line in lines if line.endswith("open")]
+    assert len(lines) > 150
+    assert all(any(line.endswith(reason) for line in lines) for reason in neighbours.ARGUED.values())
+    # One vector has no two faults.
+    assert neighbours.report(replace(SUITE, vectors=(EXAMPLE,)))[1] > 50
 
 
 def test_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
