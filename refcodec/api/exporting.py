@@ -64,7 +64,8 @@ def export(
       .sog  PlayCanvas's format: images in an archive
       .glb  glTF 2.0 with KHR_gaussian_splatting. The scene stands upright.
       .compressed.ply  PlayCanvas's format: numbers of 8 to 11 bits in the ranges of 256 Gaussians
-      .html a page that draws FILE itself in any browser. It contains FILE and makes no requests.
+      .html a page that draws FILE itself in any browser. It contains FILE, which can be saved from it, and makes no
+            requests. Splats of the same command are in the page as well, to be saved, with their sizes.
 
     --photographs adds photographs to a page for comparison. The rest of this text is about splats.
 
@@ -105,6 +106,7 @@ def export(
         export static.c3gs -o scene.glb --glb c3gs
         export scene.glb -o static.c3gs
         export scene.c3gs -o scene.html --photographs photographs
+        export scene.c3gs -o scene.html -o scene.spz -o scene.ply
 
     Returns:
         A report whose `values` have `splats`, the written Gaussians (refcodec.Splats), which is also made without an
@@ -117,20 +119,29 @@ def export(
     paths, name = _paths(output), shown_name(file)
     if words.get("glb", "plain") != "plain" or name.lower().endswith(_GLB):
         return _carried(file, paths, words)
-    page = any(path.suffix.lower() == _PAGE for path in paths)
-    if page and len(paths) != 1:
-        raise UsageError(f"a command writes one page, or splats: export {_PAGE} by a command of its own")
+    pages = [path for path in paths if path.suffix.lower() == _PAGE]
+    splats = [path for path in paths if path not in pages]
+    if len(pages) > 1:
+        raise UsageError("a command writes one page")
     if words.get("photographs") is None and words.get("cameras") is None:
         apply_only(words, ("size",), "photographs: omit it")
-    if page:
+    if pages:
+        check_outputs([file, words.get("photographs")], (pages[0], PAGE))
+    else:
+        apply_only(words, ("photographs",), f"{_PAGE} outputs: use --cameras for splats")
+    if not splats:
         apply_only(words, ("glb", "degree", "cameras", "iterations", "spz_bits"), "splats: omit it for a page")
-        check_outputs([file, words.get("photographs")], (paths[0], PAGE))
-        return write_page(_shown(file, words), paths[0], words)
-    apply_only(words, ("photographs",), f"{_PAGE} outputs: use --cameras for splats")
-    _check_splats(file, paths, _PAGE)
-    if not any(path.suffix.lower() == ".spz" for path in paths):
+        if pages:
+            return write_page(_shown(file, words), pages[0], words)
+    _check_splats(file, splats, _PAGE)
+    if not any(path.suffix.lower() == ".spz" for path in splats):
         apply_only(words, ("spz_bits",), ".spz outputs: omit it")
-    return _write_splats(_shown(file, words), paths, words, beside=True)
+    shown = _shown(file, words)
+    report = _write_splats(shown, splats, words, beside=True)
+    if not pages:
+        return report
+    beside = dict(zip(splats, report.values["psnr"] or [None] * len(splats), strict=True))
+    return replace(report, lines=[*report.lines, *write_page(shown, pages[0], words, beside).lines])
 
 
 def _shown(file: kinds.Place | Scene, words: ExportWords) -> Shown:

@@ -19,8 +19,14 @@ if TYPE_CHECKING:
     from .shown import Shown
 
 
-def write_page(shown: Shown, path: Path, words: Mapping[str, Any]) -> Report:
-    """Writes a page that contains the file of a scene. words: those of `view` on photographs."""
+def write_page(
+    shown: Shown, path: Path, words: Mapping[str, Any], splats: Mapping[Path, float | None] | None = None
+) -> Report:
+    """Writes a page that contains the file of a scene.
+
+    words: those of `view` on photographs. splats: files that the page contains, and their PSNR to the scene in dB, None
+    if they lose nothing but what their format does.
+    """
     from ..formats.common import LINEAR, check_colours
     from ..viewer.page import page
 
@@ -32,9 +38,10 @@ def write_page(shown: Shown, path: Path, words: Mapping[str, Any]) -> Report:
     images, reads = _pictures(shown, words)
     check_apart([path], reads)
     data = shown.file()
-    made = page(_name(shown.name), data, photographs=images)
+    beside = [(path.name, path.read_bytes(), psnr) for path, psnr in (splats or {}).items()]
+    made = page(_name(shown.name), data, photographs=images, beside=beside)
     write_file(path, made)
-    more = f" and {len(images)} photographs" if images else ""
+    more = "".join([f", {len(images)} photographs"] * bool(images) + [f", {name}" for name, *_ in beside])
     return Report([f"{path}: {len(made):,} bytes, including the file of {len(data):,}{more}"])
 
 

@@ -37,6 +37,14 @@ async function unpacked(id) {
   return new Uint8Array(await new Response(stream).arrayBuffer());
 }
 
+function addressOf(part) {
+  return URL.createObjectURL(new Blob([part]));
+}
+
+function save(download, href) {
+  Object.assign(document.createElement("a"), { download, href }).click();
+}
+
 class Viewer {
   constructor(settings) {
     this.settings = settings;
@@ -119,7 +127,15 @@ class Viewer {
     const photographs = this.settings.photographs.map((photograph) => ({ ...photograph, isPhotograph: true }));
     this.cameras = [...nearestFirst(cameras), ...photographs];
     this.up = upOf(this.header, cameras);
-    this.panel.about(this.name, metadata, this.header, length, parts, this.cameras);
+    this.panel.about(this.name, metadata, this.header, length, parts, this.cameras, this.#files(length));
+  }
+
+  // The file, and the scene in other formats if the page has it, with what saves them.
+  #files(length) {
+    const { input, text, url, beside = [] } = this.given;
+    const name = this.name ?? "scene.c3gs";
+    const own = { name, length, save: () => save(name, url ?? addressOf(input ?? bytesOf(text))) };
+    return [own, ...beside.map((more) => ({ ...more, save: () => save(more.name, addressOf(bytesOf(more.text))) }))];
   }
 
   on_chunk({ anchors, middle, radius }) {
@@ -317,7 +333,7 @@ class Viewer {
     const { width, height } = this.canvas;
     const download = `${(this.name ?? "scene").replace(/\.c3gs$/, "")}.png`;
     const href = this.#png(width, height, this.pose, fitted(this.lens, [width, height]).lens);
-    Object.assign(document.createElement("a"), { download, href }).click();
+    save(download, href);
   }
 
   #listen() {
@@ -440,7 +456,7 @@ function start() {
   const scene = byId("scene").textContent.trim();
   byId("scene").remove();
   const asked = new URLSearchParams(location.search).get("file") ?? settings.url;
-  if (scene !== "") viewer.open({ text: scene, name: settings.name });
+  if (scene !== "") viewer.open({ text: scene, name: settings.name, beside: settings.beside });
   else if (asked !== null) openAt(viewer, asked, settings);
   else viewer.panel.wait();
 }

@@ -16,7 +16,11 @@ PAGE = Kind.signed("a page that refcodec wrote", b"<!doctype html>\n<!-- refcode
 
 
 def page(
-    name: str, file: bytes | None = None, url: str | None = None, photographs: Sequence[dict[str, Any]] = ()
+    name: str,
+    file: bytes | None = None,
+    url: str | None = None,
+    photographs: Sequence[dict[str, Any]] = (),
+    beside: Sequence[tuple[str, bytes, float | None]] = (),
 ) -> bytes:
     """Returns the page, in HTML.
 
@@ -25,10 +29,16 @@ def page(
         file: the bytes of the file, which become part of the page. Such a page makes no request.
         url: the address of the file, if it is not part of the page. Without both, the user chooses a file.
         photographs: as `photographs.embedded` returns them.
+        beside: the scene in other formats, which become part of the page: name, bytes, and PSNR to the scene in dB.
     """
     return render(
         _FOLDER / "page.html",
-        settings={"name": name, "url": url, "photographs": list(photographs)},
+        settings={
+            **{"name": name, "url": url, "photographs": list(photographs)},
+            "beside": [
+                {"name": own, "length": len(data), "text": encoded(data), "psnr": psnr} for own, data, psnr in beside
+            ],
+        },
         fetches=file is None,
         wasm=_packed(_DECODER.read_bytes()),
         scene=encoded(file or b""),

@@ -135,11 +135,13 @@ export class Panel {
     byId("status").classList.add("done");
   }
 
-  about(name, metadata, header, length, parts, cameras) {
+  // files: the file, and the scene in other formats: name, length, what saves it, and PSNR to the scene, if known.
+  about(name, metadata, header, length, parts, cameras, files) {
     const licence = metadata.licence && `licence ${metadata.licence}`;
     this.#title(metadata.title || name, [metadata.author, licence, metadata.source].filter(Boolean).join(" · "));
     find("#tools [data-key=KeyR]").hidden = false;
     this.#bytes(header, length, parts);
+    this.#files(length, files, metadata);
     this.#cameras(cameras);
   }
 
@@ -158,10 +160,21 @@ export class Panel {
       return [cell, made("td", whole(parts[part])), made("td", `${share} %`)];
     });
     rows.push([made("td", "file"), made("td", whole(length)), made("td", "")]);
-    const table = rows.map(() => made("tr", ""));
-    table.forEach((row, i) => row.append(...rows[i]));
-    find("#details tbody").replaceChildren(...table);
+    fillTable("#share tbody", rows);
     byId("sizes").hidden = false;
+  }
+
+  // Also what the file says of itself besides its title.
+  #files(length, files, metadata) {
+    const rows = files.map(({ name, length: own, psnr, save }) => {
+      const cell = made("td", "");
+      cell.append(Object.assign(made("button", name, { type: "button", title: "Save" }), { onclick: save }));
+      const quality = made("td", psnr == null ? "" : `${psnr.toFixed(1)} dB`, { title: "PSNR to the scene, in viewers" });
+      return [cell, made("td", whole(own)), made("td", `${(own / length).toFixed(1)} times`), quality];
+    });
+    fillTable("#files tbody", rows);
+    const said = Object.entries(metadata).filter(([key]) => !["title", "author", "licence", "source"].includes(key));
+    fillTable("#said tbody", said.map(([key, value]) => [made("td", key), made("td", value)]));
   }
 
   #cameras(cameras) {
@@ -220,6 +233,15 @@ function why({ kind, text, bound, needed, allowed, looks }) {
   if (bound === "memory") return `It needs ${readable(needed)} of memory; the page allows ${readable(allowed)}.`;
   if (bound === "anchors") return `It has ${whole(needed)} anchors; the page allows ${whole(allowed)}.`;
   return kind === "memory" || text === undefined ? "" : `${text}.`;
+}
+
+function fillTable(selector, rows) {
+  const table = rows.map((row) => {
+    const line = made("tr", "");
+    line.append(...row);
+    return line;
+  });
+  find(selector).replaceChildren(...table);
 }
 
 function fill() {

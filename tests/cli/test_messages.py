@@ -77,7 +77,7 @@ WRONG = rows(
     export trained.c3gs -o trained.c3gs | unknown suffix
     export trained.c3gs -o a.ply -o scene.obj | scene.obj has an unknown suffix
     export trained.c3gs -o a.ply -o a.ply | a.ply
-    export trained.c3gs -o a.ply -o a.html | a command writes one page, or splats: export .html
+    export trained.c3gs -o a.html -o b.html | a command writes one page
     export trained.c3gs -o nowhere/scene.ply | there is no directory
     export trained.c3gs -o letter.txt | unknown suffix
     export nothing.c3gs -o scene.ply | nothing.c3gs: No such file

@@ -163,10 +163,30 @@ def test_what_the_page_says(browser: Chromium, trained: Path, tmp_path: Path) ->
     assert _text(browser, "#title") == title
     assert _text(browser, "#credit") == "A. Author · licence CC-BY-4.0"
     browser.run("document.getElementById('sizes').click()")
-    rows = [line.split("\t") for line in _text(browser, "#details table").splitlines()]
+    rows = [line.split("\t") for line in _text(browser, "#share").splitlines()]
     sizes = {row[0]: int(row[1].replace(",", "")) for row in rows}
     assert sizes.pop("file") == len(data) == sum(sizes.values())
     assert sizes["weights of the networks"] == 22281
+    assert _text(browser, "#files") == f"</script><b>x\t{len(data):,}\t1.0 times\t"
+
+
+def test_what_the_page_saves(browser: Chromium, tmp_path: Path) -> None:
+    """The file, and splats of the same command, with their sizes: the same bytes as on the disk."""
+    file, page, splats = VALID / "static-degree-1.c3gs", tmp_path / "a.html", tmp_path / "a.spz"
+    assert main(["export", str(file), "-o", str(page), "-o", str(splats)]) == 0
+    _open(browser, page)
+    browser.run("c3gs.settle()")
+    browser.run("document.getElementById('sizes').click()")
+    first, other = (line.split("\t") for line in _text(browser, "#files").splitlines())
+    size, more = (path.stat().st_size for path in (file, splats))
+    assert first == [file.name, f"{size:,}", "1.0 times", ""]
+    assert other == [splats.name, f"{more:,}", f"{more / size:.1f} times", ""]
+    # A click saves the bytes of a blob.
+    browser.run("self.saved = []; URL.createObjectURL = (blob) => { saved.push(blob); return '#' }")
+    browser.run("document.querySelectorAll('#files button').forEach((button) => button.click())")
+    text = "btoa(String.fromCharCode(...new Uint8Array(await blob.arrayBuffer())))"
+    read = f"Promise.all(saved.map(async (blob) => {text}))"
+    assert [base64.b64decode(text) for text in browser.run(read)] == [path.read_bytes() for path in (file, splats)]
 
 
 def test_texts_that_cannot_be_shown(browser: Chromium, trained: Path, tmp_path: Path) -> None:
