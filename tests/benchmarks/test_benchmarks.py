@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from benchmarks import coarse, converted, exports, front, millions, results, viewers, worst
+from benchmarks import converted, exports, front, millions, results, viewers, worst
 from benchmarks.__main__ import main
 from benchmarks.large import TRAINED, large_file, made_static
 from benchmarks.peers import __main__ as peers
@@ -214,20 +214,6 @@ def test_millions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytes
     monkeypatch.setattr(millions, "SPZ", "raise ImportError")
     assert main(["millions", str(tmp_path / "out"), str(file), "--copies", "1", "2"]) == 0
     assert [row[0] for row in printed(capsys)] == ["40", "80"]
-
-
-def test_coarse(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    """More bytes show more, and half of a static scene coarse first more than half of the file as it was."""
-    file = tmp_path / "static.c3gs"
-    file.write_bytes(emit(made_static(parse(TRAINED.read_bytes()).scene)))
-    monkeypatch.setattr(coarse, "SIDE", 60)
-    monkeypatch.setattr(coarse, "MOST", 2)
-    monkeypatch.setattr(coarse, "SHARES", (0.5, 0.9, 1.0))
-    assert main(["coarse", str(file)]) == 0
-    own, first, _ = printed(capsys)
-    # Gaussians of equal depth are in the order of the file.
-    assert min(float(row[-1]) for row in (own, first)) > 60
-    assert own[-3] == "-" or float(own[-3]) < float(first[-3])
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
