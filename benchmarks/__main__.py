@@ -20,7 +20,6 @@ BENCHMARKS = {
     "exports": ("exports", "section", "Exported scenes"),
     "viewers": ("viewers", "section", "What other programs draw"),
     "converted": ("converted", "section", "Converted splat files"),
-    "millions": ("millions", "section", "Splats of many Gaussians"),
     "worst": ("worst", "section", "The worst files of each step"),
     "gpu": ("gpu", "section", "Training on a GPU beside the CPU"),
 }

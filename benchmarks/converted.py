@@ -36,11 +36,10 @@ from .peers.convert import VERSION, as_read, convert, tool
 from .resident import usage
 from .results import Arguments, machine, mib, table
 
-UP = {"choices": AXES, "default": "-y", "help": "axis that is up (-y); write --up=-y"}
 OPTIONS: Arguments = {
     "folder": {"type": Path},
     "splats": {"type": Path, "nargs": "+"},
-    "--up": UP,
+    "--up": {"choices": AXES, "default": "-y", "help": "axis that is up (-y); write --up=-y"},
     "--each": {"type": int, "default": 8, "help": "cameras of each kind that judge (8)"},
     "--fast": {"type": float, "nargs": "+", "default": [36, 40, 43, 46, 50, 55], "metavar": "DB", "help": "qualities"},
 }

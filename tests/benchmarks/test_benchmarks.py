@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from benchmarks import converted, exports, front, millions, results, viewers, worst
+from benchmarks import converted, exports, front, results, viewers, worst
 from benchmarks.__main__ import main
 from benchmarks.large import TRAINED, large_file, made_static
 from benchmarks.peers import __main__ as peers
@@ -204,16 +204,6 @@ def test_converted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pyte
     assert whole[1] == "150 Gaussians"
     assert float(low[6]) + 3 < float(high[6]) <= 45
     assert int(low[2].replace(",", "")) < int(spz[8].replace(",", "")) <= int(high[2].replace(",", ""))
-
-
-def test_millions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    """Copies are no two the same, and are coded; without Niantic's library there is no row of it."""
-    assert len(np.unique(millions.many(splats(40, 1), 3).mean, axis=0)) == 120
-    file = tmp_path / "ball.ply"
-    file.write_bytes(write_splats(splats(40, 1), ".ply"))
-    monkeypatch.setattr(millions, "SPZ", "raise ImportError")
-    assert main(["millions", str(tmp_path / "out"), str(file), "--copies", "1", "2"]) == 0
-    assert [row[0] for row in printed(capsys)] == ["40", "80"]
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
