@@ -15,7 +15,6 @@ from .results import publish
 # By the name of the section: its module, which has the OPTIONS, the function that returns the lines, and its title.
 BENCHMARKS = {
     "decode": ("decoders", "decode", "Decoding a large scene"),
-    "scale": ("decoders", "scale", "Time and memory by the number of anchors"),
     "peers-speed": ("peers.speed", "section", "Decoding time beside SPZ"),
     "exports": ("exports", "section", "Exported scenes"),
     "viewers": ("viewers", "section", "What other programs draw"),

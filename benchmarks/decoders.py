@@ -1,7 +1,6 @@
-"""Decoding time of a large scene by each decoder, and time and memory by the number of anchors.
+"""Decoding time of a large scene by each decoder.
 
 python -m benchmarks decode [--anchors 421600] [--rounds 7] [--write]
-python -m benchmarks scale [--anchors 10000 ... 4000000] [--rounds 3] [--write]
 
 Each run is a process of its own, and the decoders take turns, so that the load of the machine affects all alike.
 """
@@ -21,19 +20,17 @@ from tqdm import tqdm
 
 from refcodec.bitstream.tables import tables_file
 from refcodec.files.terminal import bar_options
-from refcodec.files.text import counted
 from refcodec.statuses import DONE
 
 from .large import KEPT, PAPER_ANCHORS, TRAINED, large
 from .resident import Usage, usage
-from .results import ROOT, Arguments, machine, mib, table
+from .results import ROOT, Arguments, machine, table
 
 OPTIONS: Arguments = {
-    "--anchors": {"type": int, "nargs": "+"},
-    "--rounds": {"type": int},
+    "--anchors": {"type": int, "default": PAPER_ANCHORS},
+    "--rounds": {"type": int, "default": 7},
     "--kept": {"type": Path, "default": KEPT, "help": "folder of large scenes"},
 }
-SIZES = (10_000, 40_000, 100_000, PAPER_ANCHORS, 1_000_000, 4_000_000)
 # The paths of refcodec. `native` is the one that it chooses itself.
 PATHS = ("numpy", "native", "avx512vnni", "avx512", "avx2", "neon", "plain")
 # Restricts all libraries to one thread.
@@ -97,7 +94,7 @@ def in_turn(wanted: Mapping[str, Decoder], rounds: int) -> dict[str, list[tuple[
 
 def decode(options: Namespace) -> list[str]:
     """Returns the lines of the section about a large scene. Raises ValueError if digests differ."""
-    anchors, rounds, kept = (options.anchors or [PAPER_ANCHORS])[0], options.rounds or 7, options.kept
+    anchors, rounds, kept = options.anchors, options.rounds, options.kept
     path, facts = large(anchors, kept), machine("torch")
     runs = {name: [result for _, result in own] for name, own in in_turn(decoders(path, kept), rounds).items()}
     digests = {result["digest"] for own in runs.values() for result in own if "digest" in result}
@@ -123,37 +120,4 @@ def decode(options: Namespace) -> list[str]:
             [f"The paper's own decoder takes {PAPER_SECONDS} s for a scene of this size, on a GPU."]
             * (anchors == PAPER_ANCHORS)
         ),
-    ]
-
-
-def scale(options: Namespace) -> list[str]:
-    """Returns the lines of the section about whole and streaming decoding, and the encoding of a scene folder."""
-    sizes, rounds, kept = options.anchors or SIZES, options.rounds or 3, options.kept
-    facts, rows = machine(), []
-    paths = {size: large(size, kept) for size in sizes}
-    wanted = {
-        f"{size} {way}": decoding(way, path, threads=os.cpu_count() or 1)
-        for size, path in paths.items()
-        for way in ("whole", "streaming")
-    }
-    for count, path in paths.items():
-        folder, refcodec = path.with_suffix(""), [sys.executable, "-m", "refcodec"]
-        if not folder.exists():
-            subprocess.run([*refcodec, "decode", path, "-o", folder], check=True, stdout=subprocess.DEVNULL)
-        wanted[f"{count} encode"] = [*refcodec, "encode", str(folder), "-o", str(kept / "again.c3gs")], {}
-    for name, own in in_turn(wanted, rounds).items():
-        size, way = name.split()
-        times = [median(result[clock] for _, result in own) for clock in ("seconds", "processor")]
-        row = [f"{int(size):,}", f"{paths[int(size)].stat().st_size:,}", way, *(f"{time:.2f}" for time in times)]
-        rows.append([*row, f"{1e6 * times[1] / int(size):.2f}", mib(max(spent.peak for spent, _ in own))])
-    head = ["anchors", "bytes", "way", "seconds", "processor seconds", "of an anchor, µs", "resident MiB"]
-    return [
-        f"`python -m benchmarks scale --anchors {' '.join(map(str, sizes))} --rounds {rounds}`",
-        "",
-        facts,
-        f"Medians of {counted(rounds, 'round')}, and the largest peak memory. Whole decoding holds the scene.",
-        "Streaming decoding reads the file in blocks, and releases each chunk. The symbols are those of `decode`.",
-        "encode: of the scene folder, with the start of the process and reading.",
-        "",
-        *table(head, rows),
     ]

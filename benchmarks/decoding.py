@@ -1,27 +1,21 @@
 """One way of decoding a file, in a process of its own: python -m benchmarks.decoding WAY FILE
 
-WAY is `whole`; `digest`, with the SHA-256; or `streaming`: the bytes come in blocks, and each chunk is released. The
-file is decoded to float32 values twice. The process prints, as JSON, seconds and processor seconds of the second time,
-those of its parts if it is whole, and the digest if there is one. Static scenes end with Gaussians.
+WAY is `whole`; or `digest`, with the SHA-256. The file is decoded to float32 values twice. The process prints, as JSON,
+seconds and processor seconds of the second time, those of its parts if it is whole, and the digest if there is one.
+Static scenes end with Gaussians.
 """
 
 import json
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from refcodec.bitstream.codec import parse
 from refcodec.bitstream.dimensions import STATIC
-from refcodec.bitstream.errors import BitstreamError
-from refcodec.bitstream.reader import Reader
 from refcodec.bitstream.reconstruction import digest, reconstruct
-from refcodec.bitstream.source import Arriving
 from refcodec.rendering.gaussians import static_splats
-
-# Bytes of a block of a streamed file.
-BLOCK = 1000
 
 
 def whole(path: Path) -> dict[str, Any]:
@@ -40,24 +34,7 @@ def with_digest(path: Path) -> dict[str, Any]:
     return {"digest": digest(parse(path.read_bytes()).scene)[0]}
 
 
-def streaming(path: Path) -> dict[str, Any]:
-    """Decodes a file as it arrives."""
-
-    def blocks() -> Iterator[bytes]:
-        with path.open("rb") as file:
-            while block := file.read(BLOCK):
-                yield block
-
-    opened = Reader(Arriving(blocks())).open()
-    for chunk in opened.chunks():
-        if isinstance(chunk, BitstreamError):
-            raise chunk
-        reconstruct(opened.scene([chunk]))
-    opened.close()
-    return {}
-
-
-WAYS: dict[str, Callable[[Path], dict[str, Any]]] = {"whole": whole, "digest": with_digest, "streaming": streaming}
+WAYS: dict[str, Callable[[Path], dict[str, Any]]] = {"whole": whole, "digest": with_digest}
 
 
 def main(way: str, path: Path) -> None:
