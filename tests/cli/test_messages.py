@@ -104,6 +104,8 @@ WRONG = rows(
     train photos -o new --holdout=-1 | --holdout must be a whole number of at least 0, not -1
     train photos -o new --anchors 5 --voxel 1 | not allowed with
     train photos -o photos | not a scene folder | torch numba
+    train photos -o new --from none | is not a scene folder | torch numba
+    train photos -o new --from photos | cannot continue training | torch numba
     fit points3D.txt -o new --steps 0 | --steps must be a whole number of at least 1, not 0
     fit points3D.txt -o new --steps many | --steps must be a whole number of at least 1, not many
     fit points3D.txt -o new --lambda 0 | --lambda must be a number from 0.000001 to 1, not 0
@@ -122,6 +124,8 @@ WRONG = rows(
     convert photos/l -o new --views 3 | --views applies only to splat files
     convert photos/l -o new --lambda 0 | --lambda applies only to splat files
     convert nowhere.ply -o new --appearance 0 | --appearance applies only to model folders
+    convert nowhere.ply -o new --fast | must end in .c3gs
+    convert nowhere.ply -o new --psnr 40 | --psnr applies only to --fast
     convert nowhere.ply -o new.c3gs --fast --seed 0 | --seed applies only to a training
     rd photos -o new --lambdas 0 0.1 | --lambdas must be a number above 0 and at most 1, not 0
     demo -o new --scene atlantis | --scene must be caliterra or snowmiku, not atlantis

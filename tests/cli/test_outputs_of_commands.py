@@ -321,6 +321,13 @@ REFUSED = rows(
     fit scene/point_cloud.ply -o scene | read | | torch
     fit scene -o new | saved state | echo precious > new.fit-state | torch
     train scene -o new | saved state | echo precious > new.train-state | torch numba
+    fit scene -o new | --resume, or remove it | STATE > new.fit-state | torch
+    train scene -o new | --resume, or remove it | STATE > new.train-state | torch numba
+    train photos -o new --log mine.csv | is not the log of a training | echo a,b > mine.csv | torch numba
+    train photos -o new --log none/log.csv | there is no directory | | torch numba
+    train photos -o new --log photos | is not a folder of TensorBoard | | torch numba
+    train photos -o new --log letter.txt | neither a .csv file nor a folder | | torch numba
+    train photos -o new --log way/l/log.csv | whose files are read | ln -s photos way | torch numba
     # coded.safetensors counted as absent, and encode quantised anew silently. Nor does an uncompressed scene.
     encode scene -o out | not a file | rm scene/coded.safetensors; ELSE scene/coded.safetensors
     render scene -o images | render.json | ELSE scene/render.json | numba
@@ -342,7 +349,7 @@ REFUSED = rows(
     second decode scene.c3gs out --trace scene.c3gs
     second decode scene.c3gs out --trace out
     second decode scene.c3gs hard | | ln scene.c3gs hard
-    """,
+    """.replace("STATE", """printf '12345678{"__metadata__":{"format":"C3GS training state"}}'"""),
     4,
 )
 EACH = [row for row in REFUSED if "ELSE" not in row[2]]

@@ -116,12 +116,6 @@ def test_convert_fast(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     # An output never replaces an input.
     assert main([*again[:3], str(tmp_path / "a.c3gs"), "--fast", "--cameras", str(tmp_path / "a.c3gs")]) == 64
     assert "a.c3gs" in capsys.readouterr().err
-    assert main([*words, "--lambda", "0.01"]) == 64
-    assert "--lambda applies only to a training" in capsys.readouterr().err
-    assert main([*words[:-1], "--psnr", "40"]) == 64
-    assert "--psnr applies only to --fast" in capsys.readouterr().err
-    assert main([*words[:3], str(tmp_path / "folder"), "--fast"]) == 64
-    assert "must end in .c3gs" in capsys.readouterr().err
 
 
 def test_many_gaussians(monkeypatch: pytest.MonkeyPatch) -> None:

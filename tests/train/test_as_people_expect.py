@@ -127,19 +127,3 @@ def test_first_anchors(photographs: PhotographSet) -> None:
     edges = [first_anchors(photographs, varied(TrainSettings(), {"start.voxel": edge})).units for edge in (3.0, 1.5)]
     assert edges[0].cell * edges[0].length * 2 == pytest.approx(3, rel=1e-3)
     assert edges[0].cell == pytest.approx(2 * edges[1].cell, rel=1e-3)
-
-
-# --- saved states -----------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("command", ["train", "fit"])
-def test_a_state_is_not_lost(command: str, source: str, tmp_path: Path, refused: Callable[..., str]) -> None:
-    """The same command without --resume began anew, and removed the state without a word."""
-    state = tmp_path / f"scene.{command}-state"
-    state.write_bytes(b'12345678{"__metadata__":{"format":"C3GS training state"}}')
-    before = state.read_bytes()
-    message = refused(command, source, "-o", tmp_path / "scene", "--steps", 3)
-    assert str(state) in message
-    assert "--resume, or remove it" in message
-    assert state.read_bytes() == before
-    assert [path.name for path in tmp_path.iterdir()] == [state.name]

@@ -1,7 +1,6 @@
 """Training that continues from a scene: it begins with the same image, and keeps the dimensions."""
 
 import json
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -132,9 +131,3 @@ def test_masks_and_phases(tmp_path: Path) -> None:
     empty = AnchorCloud(*(values[:0] for values in vars(given.cloud).values()))
     with pytest.raises(ValueError, match="no anchors"):
         beginning(replace(given, cloud=empty), photographs, settings)
-
-
-def test_what_is_no_scene_to_go_on_from(tmp_path: Path, refused: Callable[..., str]) -> None:
-    source = photographed(model(), tmp_path / "photographs")
-    for name, message in (("none", "is not a scene folder"), ("photographs", "cannot continue training")):
-        assert message in refused("train", source, "-o", tmp_path / "out", "--from", tmp_path / name)

@@ -281,26 +281,6 @@ def test_a_log_that_cannot_be_written(tmp_path: Path, capsys: pytest.CaptureFixt
     assert len((tmp_path / "gone" / "log.csv").read_text().splitlines()) == 5
 
 
-def test_a_log_that_would_take_the_place_of_something(
-    examples: Path, tmp_path: Path, refused: Callable[..., str]
-) -> None:
-    (tmp_path / "mine.csv").write_text("a,b\n")
-    (tmp_path / "folder").mkdir()
-    (tmp_path / "folder" / "mine").write_text("x")
-    (tmp_path / "letter").write_text("x")
-    (tmp_path / "photos").symlink_to(examples / "caliterra")
-    words = ["train", examples / "caliterra", "-o", tmp_path / "scene", "--steps", 1, "--log"]
-    for log, message in [
-        ("mine.csv", "is not the log of a training"),
-        ("none/log.csv", "there is no directory"),
-        ("folder", "is not a folder of TensorBoard"),
-        ("letter", "neither a .csv file nor a folder"),
-        ("photos/images/log.csv", "whose files are read"),
-    ]:
-        assert message in refused(*words, tmp_path / log), log
-    assert (tmp_path / "mine.csv").read_text() == "a,b\n"
-
-
 @pytest.mark.slow
 def test_tensorboard(
     examples: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Callable[..., str]
