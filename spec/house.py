@@ -20,7 +20,7 @@ def _in(package: str, names: str) -> tuple[str, ...]:
 PARTS = {
     "format": ("refcodec", *_in("refcodec", "files pages native bitstream encoder folder inspect")),
     "scenes": _in("refcodec", "formats rendering export photographs viewer evaluate train convert experiments"),
-    "front doors": _in("refcodec", "api cli"),
+    "front doors": _in("refcodec", "api gsplat cli"),
     "conformance": (
         *("conformance.spec_decoder", "conformance"),
         *_in("conformance", "cases runner report fuzz mutants cli"),

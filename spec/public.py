@@ -10,6 +10,7 @@ from functools import cached_property
 from conformance.cli.main import make_parser as conformance_parser
 from refcodec import api
 from refcodec.cli.parser import make_parser
+from refcodec.gsplat import C3gsCompression
 
 from .made import ROOT, Made
 
@@ -47,8 +48,8 @@ def _members(name: str, thing: type) -> Iterator[str]:
 
 def lines() -> Iterator[str]:
     """Yields a line for each name and each command."""
-    for name in sorted(api.__all__):
-        thing = getattr(api, name)
+    things = {name: getattr(api, name) for name in api.__all__} | {"gsplat.C3gsCompression": C3gsCompression}
+    for name, thing in sorted(things.items()):
         yield f"{name}{inspect.signature(thing)}"
         if isinstance(thing, type):
             yield from _members(name, thing)

@@ -131,7 +131,7 @@ def read_located(file: Path, offset: F64 | None, note: Callable[[str], None] = l
     if not is_splat_file(file) or not there(file, ADVICE):
         raise no_splat(file)
     with errors_in(file), remarks() as texts:
-        splats = _checked(_read(file))
+        splats = checked(_read(file))
         if offset is None:
             offset = far_offset(splats.mean.astype(np.float64), np.exp(splats.scale.max(axis=1)))
             if offset.any():
@@ -142,7 +142,7 @@ def read_located(file: Path, offset: F64 | None, note: Callable[[str], None] = l
     return replace(splats, mean=moved.astype(np.float32, copy=False)), offset
 
 
-def _checked(splats: Splats) -> Splats:
+def checked(splats: Splats) -> Splats:
     """Returns Gaussians with bounded logits and logarithms, without those that have no place or no shape.
 
     Raises ContentError if none is left.

@@ -1,7 +1,8 @@
-"""The loader for three.js, with three itself where it is installed.
+"""The loader for three.js, and the reader for splat-transform, with these themselves where they are installed.
 
-It is looked for in the folders of NODE_PATH, and in node_modules of the checkout. To have all of these tests, run
-`npm install three @types/three @sparkjsdev/spark typescript` in any folder, and set NODE_PATH to its node_modules.
+They are looked for in the folders of NODE_PATH, and in node_modules of the checkout. To have all of these tests, run
+`npm install three @types/three @sparkjsdev/spark @playcanvas/splat-transform typescript` in any folder, and set
+NODE_PATH to its node_modules.
 """
 
 import json
@@ -17,11 +18,13 @@ import pytest
 from random_scenes import random_scene
 from web_program import MISSING, NODE, ROOT, WEB
 
+import refcodec
 from conformance.cases.scenes import MAIN_DIMENSIONS
 from refcodec.bitstream import cameras, codec
 from refcodec.bitstream.cameras import NamedCamera
 from refcodec.bitstream.reconstruction import reconstruct
 from refcodec.bitstream.scene import Ancillary
+from refcodec.formats.table import read_splats
 
 FOLDERS = [*map(Path, filter(None, os.environ.get("NODE_PATH", "").split(os.pathsep))), ROOT / "node_modules"]
 THREE = next((folder for folder in FOLDERS if (folder / "three" / "package.json").exists()), None)
@@ -139,3 +142,17 @@ def test_spark_takes_them(answer: dict[str, Any]) -> None:
     # Its numbers have 11 bits, and 8 for the opacity.
     assert np.allclose(centres, answer["view"]["positions"], rtol=2**-10, atol=1e-6)
     assert np.allclose(opacities, answer["view"]["opacities"], atol=1 / 255)
+
+
+@pytest.mark.parametrize("name", ["trained-static", "static-degree-0", "static-degree-3"])
+def test_splat_transform_gets_the_bits_of_the_decoder(name: str, tmp_path: Path) -> None:
+    if not (Path(str(THREE)) / "@playcanvas" / "splat-transform").exists():
+        pytest.skip("splat-transform is not where three is, so its reader is not tested")
+    installed(tmp_path)
+    shutil.copy(ROOT / "examples" / "splat-transform-reader" / "read-c3gs.mjs", tmp_path)
+    scene = ROOT / "vectors" / "valid" / f"{name}.c3gs"
+    program = ["node_modules/@playcanvas/splat-transform/bin/cli.mjs", "-g", "cpu", "read-c3gs.mjs"]
+    words = [str(NODE), *program, "-p", f"file={scene}", "-r", "0,0,180", "out.ply"]
+    subprocess.run(words, cwd=tmp_path, capture_output=True, check=True)
+    written = read_splats(tmp_path / "out.ply")
+    assert all(np.array_equal(own, getattr(written, key)) for key, own in vars(refcodec.splats(scene)).items())
