@@ -1,4 +1,4 @@
-// The plain Gaussians of a static scene in the layouts of other renderers. None of them is imported.
+// Plain Gaussians (`Gaussians.plain`) in the layouts of other renderers. None of them is imported.
 //
 // The Gaussians are in the world of the file, and stand upright in an object turned by `uprightMatrix`.
 import { PlainGaussians } from "./c3gs.js";

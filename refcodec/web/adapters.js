@@ -1,7 +1,7 @@
-// The plain Gaussians of a static scene in the layouts of other renderers. adapters.d.ts documents them.
+// Plain Gaussians in the layouts of other renderers. adapters.d.ts documents them.
 import { checkMore } from "./bounds.js";
+import { SH_0 } from "./numbers.js";
 
-const SH_0 = 0.28209479177387814;
 // The width of Spark's textures: arrays have whole rows.
 const SPARK_ROW = 2048;
 // The exponents of Spark's colours with a common exponent, and the unit of their eight bits by exponent.

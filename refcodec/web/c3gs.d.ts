@@ -329,15 +329,15 @@ export class Gaussians {
   /** The same for all anchors that were added. */
   all(from: Viewpoint, out?: View): View;
   /**
-   * Makes the Gaussians of `all` longer where chunks are missing, and returns the view: so a part of a file that is
-   * coarse first shows no gaps (SPEC.md E.2). Draw the view of all chunks as it is.
+   * Makes the Gaussians of `all` or `plain` longer where chunks are missing, and returns the view: so a part of a file
+   * that is coarse first shows no gaps (SPEC.md E.2). Draw the view of all chunks as it is.
    */
-  enlarge(view: View): View;
+  enlarge<T extends View | PlainGaussians>(view: T): T;
   /**
-   * The plain Gaussians of all anchors that were added, as new arrays. Throws RenderModelError if header.render_model
-   * is not 1.
+   * The plain Gaussians of all anchors that were added, as new arrays. `from` is for scenes that are not static: those
+   * of `all(from)`, with colours for this place only. Throws RenderModelError for such a scene without it.
    */
-  plain(): PlainGaussians;
+  plain(from?: Viewpoint): PlainGaussians;
   /** The number of kept offsets of the anchors before this one, in the order of adding. anchorCount is allowed. */
   slotOf(anchor: number): number;
   /** Allocates arrays for `size` Gaussians, with count 0. */

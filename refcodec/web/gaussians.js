@@ -4,6 +4,7 @@ import { centreOf } from "./camera.js";
 import { isStatic, splatWidth } from "./container.js";
 import { RenderModelError } from "./errors.js";
 import { kernelOf, PIECE, VIEW } from "./kernel.js";
+import { SH_0 } from "./numbers.js";
 import { checkedArrays, StaticRenderer } from "./splat.js";
 
 // Bytes of a Gaussian of a view.
@@ -167,9 +168,14 @@ export class Gaussians {
     return trimmed(view);
   }
 
-  plain() {
+  plain(from) {
     const { header } = this.scene;
-    if (!isStatic(header)) throw new RenderModelError(header.render_model, "only 1 is static");
+    if (!isStatic(header) && from === undefined) throw new RenderModelError(header.render_model, "only 1 is static");
+    if (!isStatic(header)) {
+      const { colours: harmonics, ...view } = this.all(from);
+      harmonics.forEach((x, i) => (harmonics[i] = (x - 0.5) / SH_0));
+      return limited({ ...view, harmonics }, (more) => this.#check(SEEN * view.count + more));
+    }
     const widths = { positions: 3, scales: 3, rotations: 4, opacities: 1, harmonics: header.colour_outputs };
     const bytes = 4 * splatWidth(header) * this.slotCount;
     this.#check(bytes);

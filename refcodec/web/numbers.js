@@ -12,3 +12,6 @@ export function power(e) {
 export function roundScaled(x, unit) {
   return Math.floor(x * unit + 0.5);
 }
+
+// The constant harmonic (14.6).
+export const SH_0 = 0.28209479177387814;

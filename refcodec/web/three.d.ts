@@ -1,25 +1,13 @@
 // A loader of C3GS files for three.js. The page provides `three`.
-import { Box3, Camera, Color, Loader, LoadingManager, Object3D, PerspectiveCamera, Quaternion, Vector3 } from "three";
-import { Gaussians, Input, Options, Scene, View, Viewpoint } from "./c3gs.js";
-
-/** A target for Gaussians one by one, such as `PackedSplats` of Spark, which needs a `SparkRenderer` in the scene. */
-export interface SplatTarget {
-  /** Set after an update. */
-  needsUpdate?: boolean;
-  setSplat(
-    index: number,
-    center: Vector3,
-    scales: Vector3,
-    quaternion: Quaternion,
-    opacity: number,
-    color: Color,
-  ): void;
-}
+import {
+  Box3, BufferGeometry, Camera, Color, Loader, LoadingManager, Object3D, PerspectiveCamera, Quaternion,
+} from "three";
+import { Gaussians, Input, Options, Scene } from "./c3gs.js";
 
 /** A decoded file. README.md has examples. */
 export class C3gsModel {
   readonly scene: Scene;
-  /** All chunks of the file. */
+  /** The chunks of the file that were decoded. */
   readonly gaussians: Gaussians;
   /**
    * The cameras of the file in its world. The first one is the default view. `userData` has `width` and `height`.
@@ -35,27 +23,24 @@ export class C3gsModel {
   /** The rotation from the up direction of the file to +y, for the object that draws the file. */
   readonly upright: Quaternion;
   /**
-   * The view of a camera. object: draws the file; without it, the file's world is that of the page. out: as in
-   * `Gaussians.all`. The matrices of the camera and of the object must be up to date.
+   * The argument of `GaussianSplat` of three.js 0.187, which copies it. Colours and harmonics have eight bits.
+   *
+   * camera, object: of a scene that is not static, the Gaussians are those that the camera sees in the object that
+   * draws it, with matrices that are up to date. The default is the first camera of the file.
    */
-  view(camera: Camera, object?: Object3D, out?: View): View;
+  geometry(camera?: Camera, object?: Object3D): BufferGeometry;
   /**
-   * Sets splats from 0 on to the view of a camera, and returns their number.
-   *
-   * For a static scene, `sparkSplats` of `c3gs/adapters` gives all cameras at once.
-   *
-   * The target needs room for `gaussians.slotCount` splats, and must show later changes: Spark's `PackedSplats` does,
-   * its `ExtSplats` does not. Splats of an earlier view that are not in this one get
-   * opacity 0. Colours are those of the file, whose header states their encoding.
+   * Turns an object by `upright`, and adds the first camera of the file to it with the aspect of a window. Returns the
+   * camera.
    */
-  fill(target: SplatTarget, camera: Camera, object?: Object3D): number;
+  place(object: Object3D, aspect: number): PerspectiveCamera;
 }
 
 /** Loads files. Throws the errors of `decode` and of `Gaussians`, and Error for a failed request. */
 export class C3gsLoader extends Loader<C3gsModel> {
   constructor(manager?: LoadingManager);
-  /** Options of `decode`. */
-  setOptions(options: Options): this;
+  /** Options of `decode`, and a function that is called after each chunk, and awaited: with what is there so far. */
+  setOptions(options: Options & { onChunk?: (model: C3gsModel) => unknown }): this;
   /** Loads a file. `onProgress` is called with the number of received bytes. */
   load(
     url: string,

@@ -1,6 +1,10 @@
 // A loader of C3GS files for three.js, which the page provides. three.d.ts documents it.
-import { Box3, Color, Loader, MathUtils, Matrix4, PerspectiveCamera, Quaternion, Vector3 } from "three";
+import {
+  Box3, BufferAttribute, BufferGeometry, Color, Loader, MathUtils, Matrix4, PerspectiveCamera, Quaternion, Vector3,
+} from "three";
+import { checkMore } from "./bounds.js";
 import { cameraMatrix, centreOf, decode, Gaussians, uprightMatrix } from "./c3gs.js";
+import { SH_0 } from "./numbers.js";
 
 // Returns the camera of three.js with the view of a camera of the file.
 function perspective(stated, near, bounds) {
@@ -25,42 +29,70 @@ function perspective(stated, near, bounds) {
 }
 
 export class C3gsModel {
-  // The number of splats of each target.
-  #shown = new WeakMap();
-
   constructor(scene, gaussians) {
     Object.assign(this, { scene, gaussians });
     this.bounds = new Box3();
-    for (const { low, high, start, end } of gaussians.chunks) {
-      if (start < end) this.bounds.union(new Box3(new Vector3(...low), new Vector3(...high)));
+    for (const { low, high, count } of scene.entries()) {
+      if (count > 0) this.bounds.union(new Box3(new Vector3(...low), new Vector3(...high)));
     }
-    this.cameras = scene.cameras.map((stated) => perspective(stated, scene.header.near_plane, this.bounds));
+    this.readCameras();
     this.background = new Color().fromArray(scene.header.background.map((value) => value / 255));
     this.upright = new Quaternion().setFromRotationMatrix(new Matrix4().fromArray(uprightMatrix(scene.header)));
   }
 
-  view(camera, object, out) {
-    return this.gaussians.all(centreOf(camera, object), out);
+  // Their section may follow the chunks.
+  readCameras() {
+    const { cameras, header } = this.scene;
+    if (this.cameras?.length === cameras.length) return;
+    this.cameras = cameras.map((stated) => perspective(stated, header.near_plane, this.bounds));
   }
 
-  fill(target, camera, object) {
-    const { count, positions, scales, rotations, colours, opacities } = this.view(camera, object);
-    const [centre, lengths, rotation, colour] = [new Vector3(), new Vector3(), new Quaternion(), new Color()];
+  geometry(camera = this.cameras[0], object) {
+    const plain = this.gaussians.plain(camera && centreOf(camera, object));
+    const { count, positions, scales, rotations, opacities, harmonics } = plain;
+    const width = count > 0 ? harmonics.length / count : 3;
+    checkMore(plain, count * (28 + 2 * width));
+    const covariances = new Float32Array(6 * count);
+    const colours = new Uint8ClampedArray(4 * count);
+    const [matrix, centre, rotation, lengths] = [new Matrix4(), new Vector3(), new Quaternion(), new Vector3()];
     for (let i = 0; i < count; i++) {
-      centre.fromArray(positions, 3 * i);
-      lengths.fromArray(scales, 3 * i);
-      const at = 4 * i;
-      rotation.set(rotations[at + 1], rotations[at + 2], rotations[at + 3], rotations[at]);
-      colour.fromArray(colours, 3 * i);
-      target.setSplat(i, centre, lengths, rotation, opacities[i], colour);
+      const [w, x, y, z] = rotations.subarray(4 * i, 4 * i + 4);
+      const { elements: e } = matrix.compose(centre, rotation.set(x, y, z, w), lengths.fromArray(scales, 3 * i));
+      // The upper triangle.
+      for (let a = 0, at = 6 * i; a < 3; a++) {
+        for (let b = a; b < 3; b++) covariances[at++] = e[a] * e[b] + e[4 + a] * e[4 + b] + e[8 + a] * e[8 + b];
+      }
+      for (let c = 0; c < 3; c++) colours[4 * i + c] = 255 * (0.5 + SH_0 * harmonics[width * i + c]);
+      colours[4 * i + 3] = 255 * opacities[i];
     }
-    for (let i = count; i < (this.#shown.get(target) ?? 0); i++) {
-      target.setSplat(i, centre, lengths, rotation, 0, colour);
+    const geometry = new BufferGeometry();
+    geometry.setAttribute("position", new BufferAttribute(positions, 3));
+    geometry.setAttribute("covariance", new BufferAttribute(covariances, 6));
+    geometry.setAttribute("color", new BufferAttribute(colours, 4, true));
+    for (let degree = 1; 3 * degree ** 2 < width; degree++) {
+      // Rows have whole words. 128 stands for 0.
+      const [own, row] = [3 * (2 * degree + 1), 4 * Math.ceil((6 * degree + 3) / 4)];
+      const bytes = new Uint8ClampedArray(row * count).fill(128);
+      for (let i = 0; i < count; i++) {
+        const from = width * i + 3 * degree ** 2;
+        for (let n = 0; n < own; n++) bytes[row * i + n] = 128 + 128 * harmonics[from + n];
+      }
+      const words = new BufferAttribute(new Uint32Array(bytes.buffer), row / 4);
+      geometry.setAttribute(`sphericalHarmonics${degree}`, words);
     }
-    this.#shown.set(target, count);
-    // As for textures of three.js: uploads the data again.
-    target.needsUpdate = true;
-    return count;
+    return geometry;
+  }
+
+  place(object, aspect) {
+    const camera = this.cameras[0] ?? new PerspectiveCamera();
+    // A camera of the file has a shape of its own.
+    camera.clearViewOffset();
+    camera.aspect = aspect;
+    camera.updateProjectionMatrix();
+    object.quaternion.copy(this.upright);
+    object.add(camera);
+    object.updateWorldMatrix(true, true);
+    return camera;
   }
 }
 
@@ -116,12 +148,14 @@ export class C3gsLoader extends Loader {
 
   async parse(input) {
     const chunks = decode(input, this.options);
-    let gaussians;
+    let model;
     for (;;) {
       const { value, done } = await chunks.next();
-      gaussians ??= new Gaussians(value.scene, this.options);
-      if (done) return new C3gsModel(value.scene, gaussians);
-      gaussians.add(value);
+      model ??= new C3gsModel(value.scene, new Gaussians(value.scene, this.options));
+      model.readCameras();
+      if (done) return model;
+      model.gaussians.add(value);
+      await this.options.onChunk?.(model);
     }
   }
 }

@@ -24,7 +24,7 @@ const whole = (call) => async () => {
   const found = await c3gs.decodeAll(bytes, options);
   return [found, call(found)];
 };
-const adapted = ([adapter, call]) => [adapter, held((gaussians) => [(gaussians = gaussians.plain()), call(gaussians)])];
+const adapted = ([adapter, call]) => [adapter, held((gaussians) => [(gaussians = gaussians.plain(place)), call(gaussians)])];
 const calls = {
   decode: async () => { for await (const _ of c3gs.decode(bytes, options)); },
   decodeAll: whole(() => {}),
@@ -38,7 +38,7 @@ const calls = {
   all: held((own) => own.all(place)),
   room: held((own) => own.all(place, own.room(own.slotCount))),
   enlarge: held((own) => own.enlarge(own.all(place))),
-  plain: held((own) => own.plain()),
+  plain: held((own) => own.plain(place)),
   ...Object.fromEntries(Object.entries(adapters).map(adapted)),
 };
 // These take no memory that grows with a file. The plugin calls decodeAttributes.

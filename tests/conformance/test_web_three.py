@@ -108,17 +108,14 @@ def test_an_object_carries_its_scene(answer: dict[str, Any]) -> None:
     assert answer["moved"] < 1e-5
 
 
-def test_splats_are_the_gaussians_of_the_view(answer: dict[str, Any]) -> None:
-    view = answer["view"]
-    centres, scales, quaternions, opacities, colours = zip(*answer["splats"], strict=True)
-    assert list(centres) == view["positions"]
-    assert list(scales) == view["scales"]
-    assert list(opacities) == view["opacities"]
-    assert list(colours) == view["colours"]
-    assert np.array_equal(np.array(quaternions)[:, [3, 0, 1, 2]], np.array(view["rotations"]))
-    # What this camera does not see any more is not drawn.
-    assert len(answer["faded"]) == max(len(answer["splats"]) - answer["fewer"], 0)
-    assert not any(answer["faded"])
+def test_geometry_has_the_gaussians_of_the_view(answer: dict[str, Any]) -> None:
+    view, geometry = answer["view"], answer["geometry"]
+    assert geometry["position"] == view["positions"]
+    rgba = np.column_stack([view["colours"], view["opacities"]])
+    assert np.abs(np.array(geometry["color"]) - 255 * rgba).max() < 0.501
+    axes = cameras.rotation_matrix(np.array(view["rotations"])) * np.array(view["scales"])[:, None]
+    covariances = (axes @ axes.transpose(0, 2, 1))[:, *np.triu_indices(3)]
+    assert np.allclose(geometry["covariance"], covariances, rtol=1e-5, atol=1e-5 * covariances.max())
 
 
 @pytest.mark.slow
@@ -133,15 +130,6 @@ def test_the_types_are_right(tmp_path: Path) -> None:
     words = [str(NODE), "node_modules/typescript/bin/tsc", *options.split(), "usage_web.mts"]
     done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout) == (0, "")
-
-
-def test_spark_takes_them(answer: dict[str, Any]) -> None:
-    if answer.get("packed") is None:
-        pytest.skip("@sparkjsdev/spark is in no folder of NODE_PATH")
-    centres, opacities = zip(*answer["packed"], strict=True)
-    # Its numbers have 11 bits, and 8 for the opacity.
-    assert np.allclose(centres, answer["view"]["positions"], rtol=2**-10, atol=1e-6)
-    assert np.allclose(opacities, answer["view"]["opacities"], atol=1 / 255)
 
 
 @pytest.mark.parametrize("name", ["trained-static", "static-degree-0", "static-degree-3"])

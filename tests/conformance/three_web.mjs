@@ -1,9 +1,9 @@
 // Loads a file with the loader for three.js, from a server of its own, and says what came of it.
 //
-// node three_web.mjs FILE DAMAGED: in a folder whose node_modules has three, c3gs and perhaps @sparkjsdev/spark.
+// node three_web.mjs FILE DAMAGED: in a folder whose node_modules has three and c3gs.
 import fs from "node:fs";
 import http from "node:http";
-import { cameraMatrix, projectionMatrix } from "c3gs";
+import { cameraMatrix, centreOf, projectionMatrix } from "c3gs";
 import { C3gsLoader } from "c3gs/three";
 import { LoadingManager, Matrix4, Object3D, PerspectiveCamera } from "three";
 
@@ -48,7 +48,7 @@ const cameras = model.cameras.map((camera, i) => {
 const camera = new PerspectiveCamera();
 camera.position.set(0.5, -0.25, 6);
 camera.updateMatrixWorld();
-const view = model.view(camera);
+const view = model.gaussians.all(camera);
 const object = new Object3D();
 object.position.set(3, -2, 1);
 object.quaternion.copy(model.upright);
@@ -57,34 +57,10 @@ object.updateMatrixWorld();
 const moved = new PerspectiveCamera();
 moved.position.copy(camera.position).applyMatrix4(object.matrixWorld);
 moved.updateMatrixWorld();
-const again = model.view(moved, object);
+const again = model.gaussians.all(centreOf(moved, object));
 
-// What a renderer of splats is given.
-const spark = await import("@sparkjsdev/spark").catch(() => undefined);
-const recorded = [];
-const recorder = {
-  setSplat: (index, centre, scales, quaternion, opacity, colour) => {
-    recorded[index] = [centre.toArray(), scales.toArray(), quaternion.toArray(), opacity, colour.toArray()];
-  },
-};
-const count = model.fill(recorder, camera);
-const splats = recorded.slice(0, count);
-camera.position.set(-40, 3, 1);
-camera.updateMatrixWorld();
-const fewer = model.fill(recorder, camera);
-const faded = recorded.slice(fewer).map(([, , , opacity]) => opacity);
-let packed;
-if (spark !== undefined) {
-  const target = new spark.PackedSplats({ maxSplats: model.gaussians.slotCount });
-  camera.position.set(0.5, -0.25, 6);
-  camera.updateMatrixWorld();
-  model.fill(target, camera);
-  // Each call gives the same objects again.
-  packed = Array.from({ length: target.numSplats }, (_, i) => {
-    const { center, opacity } = target.getSplat(i);
-    return [center.toArray(), opacity];
-  });
-}
+// What GaussianSplat of three.js is given.
+const { attributes } = model.geometry(camera);
 const row = (array, width, i) => [...array.subarray(width * i, width * (i + 1))];
 const rows = (array, width) => Array.from({ length: view.count }, (_, i) => row(array, width, i));
 console.log(JSON.stringify({
@@ -97,6 +73,6 @@ console.log(JSON.stringify({
     opacities: [...view.opacities], colours: rows(view.colours, 3),
   },
   moved: apart(view.opacities, again.opacities), movedCount: again.count,
-  splats, faded, fewer, packed,
+  geometry: Object.fromEntries(Object.entries(attributes).map(([name, own]) => [name, rows(own.array, own.itemSize)])),
 }));
 server.close();

@@ -6,9 +6,11 @@ import {
 import { playCanvasElements, sparkSplats } from "c3gs/adapters";
 import { C3gsGltfPlugin, decodeAttributes } from "c3gs/gltf";
 import { C3gsLoader, C3gsModel } from "c3gs/three";
-import { PackedSplats, ExtSplats, SplatMesh } from "@sparkjsdev/spark";
+import { options } from "c3gs/spark";
+import { ExtSplats, SplatMesh } from "@sparkjsdev/spark";
 import { Object3D, PerspectiveCamera, Scene as World } from "three";
 import { GLTFLoader } from "three/addons/loaders/GLTFLoader.js";
+import { GaussianSplat } from "three/addons/objects/GaussianSplat.js";
 
 async function stream(response: Response, place: PerspectiveCamera, object: Object3D): Promise<void> {
   let gaussians: Gaussians | undefined;
@@ -53,16 +55,15 @@ async function whole(bytes: Uint8Array): Promise<Scene> {
 }
 
 async function three(world: World, camera: PerspectiveCamera): Promise<void> {
-  const loader = new C3gsLoader().setOptions({ maxAnchors: 10 }).setPath("/files/");
+  const loader = new C3gsLoader().setOptions({ maxAnchors: 10, onChunk: ({ bounds }) => bounds }).setPath("/files/");
   const model: C3gsModel = await loader.loadAsync("scene.c3gs", (event) => console.log(event.loaded));
-  const packedSplats = new PackedSplats({ maxSplats: model.gaussians.slotCount });
-  const mesh = new SplatMesh({ packedSplats });
-  mesh.quaternion.copy(model.upright);
+  options.maxMemory = 1 << 29;
+  const mesh = new SplatMesh({ url: "scene.c3gs" });
+  model.place(mesh, 16 / 9).updateMatrixWorld();
   world.add(mesh);
   world.background = model.background;
-  model.fill(packedSplats, camera, mesh);
-  model.fill(new ExtSplats({}), camera, mesh);
-  const plain = model.gaussians.plain();
+  world.add(new GaussianSplat(model.geometry()), new GaussianSplat(model.geometry(camera, mesh)));
+  const plain = model.gaussians.enlarge(model.gaussians.plain(camera));
   world.add(new SplatMesh({ splats: new ExtSplats(sparkSplats(plain)) }));
   console.log(playCanvasElements(plain)[0].properties.map(({ name, storage }) => [name, storage.length]));
   loader.load("a.c3gs", (own) => console.log(own.bounds), undefined, (error) => console.log(error));
