@@ -7,6 +7,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 import numpy as np
@@ -35,8 +36,10 @@ EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "photographs"
 TITLES = {"caliterra": "A building site from the air", "snowmiku": "A plush doll"}
 # lambda_r: the paper's middle.
 LAMBDA = 0.004
-# Two parallel training runs on two cores take six minutes in total.
+# Two parallel training runs on two cores take six minutes.
 STEPS = 6000
+# Of further rates, which continue from the coded scene for this share of the steps.
+FURTHER, SHARE = (0.016, 0.001), 6
 
 # Parts of a scene by their names in training reports and in files. All other sections are HEADERS.
 PARTS = {
@@ -110,17 +113,29 @@ class Demo:
         """A job of one of the two scenes. Both jobs of a scene have one record."""
         return Job(name, self.path(f"{name}.steps.json"), steps)
 
-    def training(self, name: str, lambda_r: float) -> Job:
-        output, steps = self.path(name), str(self.settings.steps)
-        words = ("--lambda", f"{lambda_r:g}", "--steps", steps, *self.options, "--size", self.settings.size)
-        state = self.path(f"{name}.train-state")
-        step = Step(
+    def training(self, name: str, lambda_r: float, source: Path | None = None) -> Step:
+        """The training of a scene, from a coded one if a source is given."""
+        output, steps = self.path(name), self.settings.steps
+        words = ("--lambda", f"{lambda_r:g}", *self.options, "--size", self.settings.size)
+        words += ("--steps", str(steps)) if source is None else ("--steps", str(steps // SHARE), "--from", str(source))
+        return Step(
             ("train", str(self.photographs), "-o", str(output), *words),
             output / REPORT_FILE,
-            state=state,
+            () if source is None else (source / REPORT_FILE,),
+            state=self.path(f"{name}.train-state"),
             free=("--threads", "1", "--progress"),
         )
-        return self.job(name, step)
+
+    def further(self) -> dict[float, Job]:
+        """The jobs of further rates by lambda_r. A static scene has none, because no training continues it."""
+        jobs = {}
+        for rate in FURTHER if not self.settings.static else ():
+            name = f"{CODED}-{rate:g}"
+            scene, file = self.path(name), self.path(f"{name}.c3gs")
+            encode = Step(("encode", str(scene), "-o", str(file)), file, (scene / REPORT_FILE,))
+            training = self.training(name, rate, self.path(CODED))
+            jobs[rate] = self.job(name, training, encode, self._evaluation(name, file, file))
+        return jobs
 
     def _evaluation(self, name: str, scene: Path, made: Path) -> Step:
         settings, images = self.settings, str(self.path(f"images-{name}"))
@@ -141,7 +156,8 @@ class Demo:
             self.job(UNCOMPRESSED, self._evaluation(UNCOMPRESSED, plain, plain / REPORT_FILE)),
             self.job(CODED, *coding),
         ]
-        return [[self.training(UNCOMPRESSED, 0), self.training(CODED, LAMBDA)], rest]
+        trainings = {UNCOMPRESSED: 0, CODED: LAMBDA}
+        return [[self.job(name, self.training(name, rate)) for name, rate in trainings.items()], rest]
 
 
 def find_example(name: str) -> Path:
@@ -174,6 +190,8 @@ def run_demo(demo: Demo) -> tuple[Path, bool]:
             raise RunError("stopped before both training runs had a scene; the same command continues", INTERRUPTED)
         if not _ran(rest):
             raise RunError("stopped; the same command continues", INTERRUPTED)
+        # Who stopped a training wants to see what there is.
+        whole = whole and _ran([*demo.further().values()])
         write_file(folder / PAGE, page(collect(demo)).encode())
     return folder / PAGE, whole
 
@@ -228,7 +246,9 @@ def collect(demo: Demo) -> dict[str, Any]:
         }
         for plain, coded, file in zip(before.images, after.images, files, strict=True)
     ]
-    jobs = [job for group in demo.jobs() for job in group]
+    further = {rate: job for rate, job in demo.further().items() if has(job.steps[-1].output)}
+    jobs = [*(job for group in demo.jobs() for job in group), *further.values()]
+    rates = {LAMBDA: after} | {rate: read(job.steps[-1].output, Evaluation) for rate, job in further.items()}
     return {
         "title": TITLES.get(name, name),
         "photographs": len(photographs.train) + len(photographs.test),
@@ -237,6 +257,8 @@ def collect(demo: Demo) -> dict[str, Any]:
         "mean_before": before.mean,
         "mean_after": after.mean,
         "parts": sizes(before.parts, after.parts),
+        "difference": median(a.psnr - b.psnr for a, b in zip(after.images, before.images, strict=True)),
+        "rates": [(e.bytes, rate, e.mean) for rate, e in sorted(rates.items(), reverse=True)],
         "anchors": (before.anchors, after.anchors),
         "trained": [report.steps for report in reports],
         "steps_wanted": demo.settings.steps,

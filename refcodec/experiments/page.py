@@ -68,6 +68,7 @@ def page(result: dict[str, Any]) -> str:
         decoding=sum(seconds for name, _, seconds in result["steps"] if name.endswith("decode")),
         stopped=[(name, done) for name, done in trained if done < result["steps_wanted"]],
         chart=lines("PSNR over time", result["charts"], "seconds", "PSNR of a few photographs, dB"),
+        curve=lines("Rates", {"coded": [(b / 1e3, m.psnr) for b, _, m in result["rates"]]}, "file, kB", "PSNR, dB"),
         # A no-break space is not printable, thus a template would escape it.
         readable=lambda size: raw(readable(size)),
         times=times,

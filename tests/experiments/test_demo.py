@@ -24,6 +24,8 @@ def test_demo(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: p
     assert (out / "index.html").as_uri() in capsys.readouterr().out
     text = (out / "index.html").read_text()
     assert text.count("<img ") == text.count('src="data:image/jpeg;base64,') == 2 + 4 * 3
+    # Three rates, and the uncompressed scene.
+    assert re.findall(r"<tr><td>(0\.\d+|uncompressed)</td>", text) == ["0.016", "0.004", "0.001", "uncompressed"]
     digest = json.loads((out / "decoded" / "scene.json").read_text())["digest"]["whole"]
     for words in (digest, "Dennis Baldwin", "CC0 1.0"):
         assert words in text
@@ -35,7 +37,7 @@ def test_demo(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: p
         assert (each["steps"], each["size"], each["holdout"], each["masks"]["epsilon"]) == (20, "40", 30, 0.02)
     # Again: nothing is done twice. After Ctrl-C in the trainings the page has what there is.
     assert main(command) == 0
-    assert capsys.readouterr().err.count("done before") == 6
+    assert capsys.readouterr().err.count("done before") == 12
     ran, calls = demo._ran, list[bool]()
     monkeypatch.setattr(demo, "_ran", lambda jobs: calls.append(ran(jobs)) or len(calls) > 1)
     assert main(command) == 130
@@ -54,7 +56,15 @@ def result(**changes: Any) -> dict[str, Any]:
         **{"title": "A & B", "photographs": 16, "held_out": True, "mean_before": measures, "mean_after": after},
         **{"views": [view | dict.fromkeys(("photograph", "uncompressed", "decoded"), grey)]},
         "parts": [{"name": name, "text": name, "before": before, "after": after} for name, before, after in parts],
-        **{"anchors": (1000, 900), "trained": (50, 50), "steps_wanted": 50, "lambda_r": 0.004, "digest": "ab" * 32},
+        **{
+            "anchors": (1000, 900),
+            "difference": -0.7,
+            "rates": [(500_000, 0.004, after)],
+            "trained": (50, 50),
+            "steps_wanted": 50,
+            "lambda_r": 0.004,
+            "digest": "ab" * 32,
+        },
         "steps": [("coded train", "refcodec train x", 100.0), ("coded decode", "refcodec decode <x>", 1.26)],
         **{"charts": {}, "files": [("scene.c3gs", "the file", 500_000)], "credits": "by <somebody>", **changes},
     }
