@@ -6,7 +6,7 @@ that `import refcodec` loads no other package. Type checkers and editors read th
 
 import importlib
 
-__version__ = "0.1.0"
+__version__ = "1.0.0rc1"
 
 __all__ = ["BitstreamError", "BoundPassedError", "Camera", "File", "Limits", "Report", "Scene", "Splats", "UsageError"]
 __all__ += ["__version__", "api", "decode", "encode", "open", "splats"]

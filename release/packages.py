@@ -30,14 +30,16 @@ def npm(source: SourceTree, folder: Path) -> list[Path]:
     compiler.webassembly(source)
     web = source.folder / "refcodec" / "web"
     package = json.loads((web / "package.json").read_bytes())
-    if package["version"] != source.version:
+    # npm's form of 1.0.0rc1.
+    version = source.version.replace("rc", "-rc.")
+    if package["version"] != version:
         raise UsageError(f"package.json has the version {package['version']}, and refcodec has {source.version}")
     names = [path.name for path in web.iterdir() if any(fnmatchcase(path.name, one) for one in package["files"])]
     files = {f"package/{name}": (web / name).read_bytes() for name in (*names, "package.json", "README.md")}
     files["package/LICENSE"] = (source.folder / "LICENSE").read_bytes()
     files[f"package/{notices.FILE}"] = notices.text(notices.WASI)
     programs = frozenset(f"package/{name}" for name in package["bin"].values())
-    path = folder / f"{package['name']}-{source.version}.tgz"
+    path = folder / f"{package['name']}-{version}.tgz"
     path.write_bytes(archives.tar_gz(files, source.epoch, programs))
     return [path]
 

@@ -1,7 +1,7 @@
 // Static C3GS files in splat-transform of PlayCanvas, 2 and 3, with the bits of the decoder. In an empty folder, with a
 // clone of the project in ../c3gs:
 //
-//   npm pack ../c3gs/refcodec/web && npm install ./c3gs-0.1.0.tgz @playcanvas/splat-transform
+//   npm pack ../c3gs/refcodec/web && npm install ./c3gs-1.0.0-rc.1.tgz @playcanvas/splat-transform
 //   cp ../c3gs/examples/splat-transform-reader/read-c3gs.mjs .
 //   npx splat-transform -g cpu read-c3gs.mjs -p file=scene.c3gs -r 0,0,180 scene.sog
 //

@@ -344,9 +344,8 @@ export class Gaussians {
   room(size: number): View;
   /**
    * The change of the view of each chunk since `chunk` or `all` last returned it: the distance of the two places
-   * divided by the distance to the bounds of the chunk. It approximates the largest change in direction to an anchor,
-   * in radians.
-   * Infinity: never returned, or the place is within the bounds.
+   * divided by the distance to the bounds of the chunk, or by a quarter of their diagonal if that is more. It
+   * approximates the largest change in direction to an anchor, in radians. Infinity: never returned.
    */
   changes(from: Viewpoint): Float64Array;
 }
