@@ -11,6 +11,8 @@ from refcodec.files.text import printable
 FAINT = 1e-4
 # SPEC [G14.3-1]: of means, relative to their lengths, beside the tolerance for their distance from the anchor.
 ROUNDING = 2.0**-22
+# SPEC [G14.3-1]: of colours, which may be 0 by cancelling, and of lengths below the normal numbers of binary32.
+LEAST = {"colour": 2.0**-20, "lengths": 2.0**-126}
 KINDS = {"mean": 3, "lengths": 3, "quaternion": 4, "opacity": 1, "colour": 3}
 
 
@@ -57,7 +59,7 @@ def difference(expected: bytes | str, output: bytes | str, tolerance: float, sta
             continue
         for kind in KINDS:
             right, value = wanted[place][kind], made[place][kind]
-            allowed = tolerance * math.hypot(*right)
+            allowed = tolerance * math.hypot(*right) + LEAST.get(kind, 0)
             if kind == "mean":
                 allowed = tolerance * wanted[place]["reach"][0] + ROUNDING * math.hypot(*right)
                 if static and not all(map(_same, right, value)):

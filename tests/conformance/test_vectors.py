@@ -325,6 +325,7 @@ def test_gaussians_that_differ() -> None:
     near = {**g, "mean": [1.0, 2.0, 3.0009]}
     assert difference(listed({**g, "reach": 10.0}), listed(near), 1e-4) is None
     assert "the same numbers" in str(difference(listed({**g, "reach": 10.0}), listed(near), 1e-4, static=True))
+    assert difference(listed({**g, "colour": [0, 0, 0]}), listed({**g, "colour": [1e-7, 0, 0]}), 1e-4) is None
     assert difference(listed(g), "[]", 1e-4)
     assert difference(listed(g), "not JSON", 1e-4)
 
