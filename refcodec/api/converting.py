@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from ..rendering.camera import Camera
 
 _VIEWS, _C3GS = 200, ".c3gs"
-_GUESSED = "refcodec: where people will look from was guessed; --cameras states it"
+_GUESSED = "refcodec: no cameras are known, so views around and among the splats were guessed; --cameras states others"
 # Words that apply to splat files only, and those of them that apply to a training only.
 _OF_SPLATS = ("views", "cameras", "offset", "pictures", "steps", "lambda_r", "size", "psnr", "fast")
 _OF_TRAINING = ("pictures", "lambda_r", "seed", "resume", "background", "holdout", "anchors", "voxel", "set")
@@ -92,6 +92,8 @@ def convert(source: kinds.AnyPath, output: kinds.SceneFolder, **words: Unpack[Co
     from ..formats.sog import META
     from ..formats.table import is_splat_file, model_splats, no_splat
 
+    if Path(output).suffix.lower() == _C3GS and not words.get("fast"):
+        raise UsageError(f"{output} is a folder of a scene here: add --fast to code the splat, or rename it")
     path = Path(source)
     splats = path / META if (path / META).is_file() else model_splats(path) or path
     if path.is_dir() and splats == path and not described(path):

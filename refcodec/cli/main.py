@@ -110,6 +110,10 @@ def _reject(file: str, error: BitstreamError) -> int:
     # SPEC 6.1: the signature error has the first eight bytes, as hexadecimal text.
     kind = looks_like(bytes.fromhex(error.found[:23])) if error.kind.name == "prologue.signature" else None
     spot = f"To see the spot: refcodec inspect {shell_word(file)} --near {error.offset}"
+    if error.kind.name.endswith(".crc"):
+        # What somebody can do who received the file.
+        rest = f"To save the rest: refcodec decode {shell_word(file)} -o rescued --keep-going. "
+        spot = f"Copy or download it again, or ask its sender. {rest if error.kind.name == 'chunk.crc' else ''}{spot}"
     advice = f"It looks like {kind}" if kind else f"{likely_cause(error.kind.name)} {spot}"
     if (error.kind.name, error.found) == ("prologue.version", "0"):
         advice = (

@@ -97,7 +97,8 @@ def _splats(tensors: Mapping[str, Tensor]) -> Splats:
     from ..formats.splats import Splats, narrowed
 
     shapes = {name: tuple(own.shape) for name, own in tensors.items()}
-    (n, k, _), ends = shapes.get("shN", (0, 0, 0)), ((3,), (3,), (4,), (), (1, 3))
+    n, k = shapes.get("means", (0,))[0], [*shapes.get("shN", ()), 0, 0][1]
+    ends = (3,), (3,), (4,), (), (1, 3)
     right = dict(zip(KEYS, [*((n, *end) for end in ends), (n, k, 3)], strict=True))
     if shapes != right or k not in REST:
         raise ValueError(f"the tensors have the shapes {shapes}, but must have {right}, with 0, 3, 8 or 15 harmonics")

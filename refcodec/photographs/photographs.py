@@ -154,9 +154,8 @@ def read_photographs(
     """
     folder = Path(folder)
     if not folder.is_dir():
-        raise PhotographError(
-            folder, "the folder does not exist", "give a folder with COLMAP's or NeRF's cameras and their images"
-        )
+        fault = "the folder is a file" if folder.exists() else "the folder does not exist"
+        raise PhotographError(folder, fault, "give a folder with COLMAP's or NeRF's cameras and their images")
     try:
         random, notes = False, []
         if models := find_models(folder):

@@ -152,7 +152,7 @@ export class Panel {
     const bar = names.map((part) => Object.assign(colour(part, `; flex-grow: ${parts[part]}`), { title: title(part) }));
     find("#sizes .bar").replaceChildren(...bar);
     const more = made("span", ` · ${whole(header.anchor_count)} anchors`, { className: "more" });
-    find("#sizes .text").replaceChildren(readable(length), more);
+    find("#sizes .text").replaceChildren(`${readable(length)}, save`, more);
     const rows = names.map((part) => {
       const cell = made("td", PARTS[part]);
       cell.prepend(colour(part));
@@ -169,7 +169,7 @@ export class Panel {
     const rows = files.map(({ name, length: own, psnr, save }) => {
       const cell = made("td", "");
       cell.append(Object.assign(made("button", name, { type: "button", title: "Save" }), { onclick: save }));
-      const quality = made("td", psnr == null ? "" : `${psnr.toFixed(1)} dB`, { title: "PSNR to the scene, in viewers" });
+      const quality = made("td", psnr == null ? "" : `${psnr.toFixed(1)} dB`);
       return [cell, made("td", whole(own)), made("td", `${(own / length).toFixed(1)} times`), quality];
     });
     fillTable("#files tbody", rows);
@@ -217,9 +217,10 @@ export class Panel {
     const said = find("#error pre");
     said.hidden = error === undefined;
     if (error !== undefined) {
-      const { code, offset, clause } = error;
-      const near = looks ? [] : ["", `refcodec inspect FILE --near ${offset}`];
-      const facts = [`error ${code} ${error.name}, ${error.class}`, `SPEC.md ${clause}, byte ${offset}`];
+      const { code, offset, clause, name } = error;
+      const rest = name.startsWith("chunk.") ? ["refcodec decode FILE -o rescued --keep-going"] : [];
+      const near = looks ? [] : ["", `refcodec inspect FILE --near ${offset}`, ...rest];
+      const facts = [`error ${code} ${name}, ${error.class}`, `SPEC.md ${clause}, byte ${offset}`];
       said.textContent = [...(looks?.isConverted ? CONVERT : []), ...facts, ...near].join("\n");
     }
     byId("error").hidden = false;

@@ -125,6 +125,7 @@ WRONG = rows(
     convert photos/l -o new --lambda 0 | --lambda applies only to splat files
     convert nowhere.ply -o new --appearance 0 | --appearance applies only to model folders
     convert nowhere.ply -o new --fast | must end in .c3gs
+    convert splat.ply -o new.c3gs | add --fast to code the splat
     convert nowhere.ply -o new --psnr 40 | --psnr applies only to --fast
     convert nowhere.ply -o new.c3gs --fast --seed 0 | --seed applies only to a training
     rd photos -o new --lambdas 0 0.1 | --lambdas must be a number above 0 and at most 1, not 0

@@ -102,7 +102,7 @@ def test_convert_fast(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     assert re.search(
         r": 3[78]\.\d dB in 8 pictures of 40 pixels by cameras around and among .*, 3\d\.\d in the worst", out
     )
-    assert "was guessed" in err
+    assert "were guessed" in err
     scene = parse((tmp_path / "a.c3gs").read_bytes()).scene
     assert (scene.render.render_model, scene.render.up_axis) == (1, 4)
     # The cameras of a file, and those of photographs.

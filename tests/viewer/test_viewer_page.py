@@ -167,7 +167,7 @@ def test_what_the_page_says(browser: Chromium, trained: Path, tmp_path: Path) ->
     sizes = {row[0]: int(row[1].replace(",", "")) for row in rows}
     assert sizes.pop("file") == len(data) == sum(sizes.values())
     assert sizes["weights of the networks"] == 22281
-    assert _text(browser, "#files") == f"</script><b>x\t{len(data):,}\t1.0 times\t"
+    assert _text(browser, "#files tbody") == f"</script><b>x\t{len(data):,}\t1.0 times\t"
 
 
 def test_what_the_page_saves(browser: Chromium, tmp_path: Path) -> None:
@@ -177,7 +177,7 @@ def test_what_the_page_saves(browser: Chromium, tmp_path: Path) -> None:
     _open(browser, page)
     browser.run("c3gs.settle()")
     browser.run("document.getElementById('sizes').click()")
-    first, other = (line.split("\t") for line in _text(browser, "#files").splitlines())
+    first, other = (line.split("\t") for line in _text(browser, "#files tbody").splitlines())
     size, more = (path.stat().st_size for path in (file, splats))
     assert first == [file.name, f"{size:,}", "1.0 times", ""]
     assert other == [splats.name, f"{more:,}", f"{more / size:.1f} times", ""]
