@@ -72,7 +72,7 @@ def rd(
     """Train with several lambdas, and write sizes and quality as a table and a chart.
 
     It runs an experiment of one scene, and writes its file, DIR/experiment.toml. DIR gets results.csv,
-    tables.md and curves/, and below cells/ a scene folder and a file for each rate, as with `experiment`.
+    tables.md and curves/, and below cells/ a scene folder and a file for each lambda, as with `experiment`.
     The same command continues after an interruption, and repeats nothing. Options of train apply to all
     training runs.
     Needs: pip install 'refcodec[train,render,rd]'.

@@ -83,9 +83,9 @@ def export(
       - else the cameras of FILE, if there are 8 or more; train keeps 16, spread as far as possible
       - else 64 cameras around the scene, where its networks were not trained
 
-    Viewers of splats add 0.3 square pixels to each Gaussian. The fit is made for them. The command reports the PSNR of
-    the splat in dB as they draw it, on views that the fit did not use. With cameras of FILE, these lie between each
-    camera and its nearest.
+    3DGS, Spark and three.js add 0.3 square pixels to each Gaussian. The fit is made for them. The command reports the
+    PSNR of the splat in dB as 3DGS draws it, on views that the fit did not use. With cameras of FILE, these lie between
+    each camera and its nearest.
     Gaussians that contribute less than a tenth of a pixel to every view are dropped.
     Beside the splats stands a cameras.json as 3DGS writes it, from which `refcodec convert` measures: the cameras of
     --cameras, or those of FILE if there are 8 or more. No other file is replaced by it.
