@@ -412,14 +412,15 @@ _WEIGHTS = [
         ("state", "a state of the weights", substreams.state, "weights", 0, 0),
         ("symbols", "symbol_crc of the weights", substreams.symbol_crc, "weights", 0, 0x55),
         ("not-finite", "a raw number that is none", *_NONE),
-        ("planes", "the lengths of the planes", *_PLANES)),
+        ("planes", "the lengths of the planes", *_PLANES), features="order packed-weights"),
     *chain("raw-layer-", grids, "R6.8-7",
         ("exponent-outside", "an exponent of 150 in a raw layer", weights_packed.model_field, "hyper.0", "exponent",
          150),
         ("exponent-scale", "a scale of exponents", weights_packed.model_field, "hyper.0", "exponent_scale", 1),
         ("exponent", "an exponent of 5", weights_packed.model_field, "hyper.0", "exponent", 5),
         ("weight-scale", "a scale of weights", weights_packed.model_field, "hyper.0", "weight_scale", 1),
-        ("bias-scale", "a scale of biases", weights_packed.model_field, "hyper.0", "bias_scale", 1)),
+        ("bias-scale", "a scale of biases", weights_packed.model_field, "hyper.0", "bias_scale", 1),
+        features="order packed-weights"),
     *ordered("R6.8-5", *(
         (name, f"{text}, and the section's end", grids, first, (weights_packed.cut, *end))
         for name, text, first, end in (
@@ -434,7 +435,8 @@ _WEIGHTS = [
             ("raw-exponent-and-values", "exponent in a raw layer",
              (weights_packed.model_field, "hyper.0", "exponent", 5), ("hyper.0", 9)),
             ("raw-weight-scale-and-values", "weight_scale in a raw layer",
-             (weights_packed.model_field, "hyper.0", "weight_scale", 5), ("hyper.0", 9))))),
+             (weights_packed.model_field, "hyper.0", "weight_scale", 5), ("hyper.0", 9)))),
+        features="order packed-weights"),
 
     # Faults after the substream: those of layers in order, then bounds.
     *ordered("R6.8-3 R6.8-4 R6.8-8",
@@ -448,7 +450,7 @@ _WEIGHTS = [
          "a raw layer with a number that is none, and an earlier one that breaks the bound", _two_raw, _LATER_NONE,
          _BOUND),
         ("layers-bound-and-planes", "a raw layer that breaks the bound, and the lengths of the planes", _two_raw,
-         _BOUND, _PLANES)),
+         _BOUND, _PLANES), features="order packed-weights"),
 ]
 
 # --- neighbours that the chains do not have (spec/neighbours.py) ------------------------------------------------------

@@ -16,7 +16,7 @@ from refcodec.bitstream.splat import SCALING_BOUND, exponential
 from . import limits, networks
 from .numbers import Numbers
 from .scenes import SMALLEST, TINY_DIMENSIONS, drawn_symbols, f16, lattice, scene, with_symbols
-from .table import NAME, label_of, refused, valid
+from .table import NAME, More, label_of, refused, valid
 from .target import Target
 from .targets import target_of
 from .weights import ALL, BASE_STEPS, dyadic, packed_weights, with_weights
@@ -176,5 +176,5 @@ CASES = [
         *((f"static-bound-{label_of(layer)}", f"a weight of {layer} that leaves no exponent, in a static scene", target,
            networks.large_value, layer, 0, 0, 4096.0) for layer in ("opacity.0", "colour.1")),
         ("static-bound-packed", "a packed layer whose rows have no exponent, in a static scene", target_of(_packed),
-         networks.large_integer, "colour.1", (1 << 23) + 1)),
+         networks.large_integer, "colour.1", (1 << 23) + 1, More(features="packed-weights"))),
 ]

@@ -140,17 +140,17 @@ def ordered(requirements: str, *rows: Row, features: str = "order") -> list[Reci
 
 
 def chain(
-    where: str, base: Callable[[], Target], requirements: str, *links: Row, joint: str = ", and "
+    where: str, base: Callable[[], Target], requirements: str, *links: Row, joint: str = ", and ", **more: str
 ) -> list[Recipe]:
     """Returns a file for each fault and its successor. The links are faults in the order of checks.
 
-    where: begins identifiers. joint: between the titles of two faults. A link: name, title, a fault, its arguments.
+    where: begins identifiers. joint: between titles. more: of `ordered`. A link: name, title, a fault, its arguments.
     """
     pairs = [
         (f"{where}{name}-and-{next_name}", f"{title}{joint}{next_title}", base, tuple(one), tuple(other))
         for (name, title, *one), (next_name, next_title, *other) in pairwise(links)
     ]
-    return ordered(requirements, *pairs)
+    return ordered(requirements, *pairs, **more)
 
 
 def again(rows: Iterable[Recipe], names: str, where: str, base: Callable[[], Target] | None = None) -> list[Recipe]:

@@ -10,7 +10,7 @@ from pathlib import Path
 from refcodec.files.text import printable
 
 from ..runner.grading import GRADES
-from ..runner.run import STATUSES, Result
+from ..runner.run import STATUSES, Digest, Result
 from .record import NOT_STATED
 from .schema import Record
 
@@ -28,9 +28,18 @@ _WORDS = {"unexpected": "known failures that pass", "known": "known failures"}
 
 
 def most_telling(vectors: Sequence[Result]) -> list[Result]:
-    """Returns the failures. Those with the fewest requirements, which locate the fault best, come first."""
+    """Returns the failures, crashes last. Those of the fewest requirements, which locate the fault best, come first."""
     bad = [v for v in vectors if v.status in ("failed", "crashed", "unexpected")]
-    return sorted(bad, key=lambda v: len(v.requirements))
+    return sorted(bad, key=lambda v: (v.status == "crashed", len(v.requirements)))
+
+
+def grade(record: Record) -> str:
+    """Returns the grade in words, with the number of vectors if some were not run, and whether an output was tested."""
+    total, left, lowest = len(record.suite.vectors), record.verdict.not_run, record.verdict.grade
+    outputs = any(isinstance(v.expected, Digest) for v in record.vectors)
+    means = f": {GRADES[lowest]}" if outputs and lowest is not None else ""
+    some = f"; {total - left} of {total} vectors run" if left else ""
+    return f"grade {lowest} of {max(GRADES)}{means}{some}{'' if outputs else '; no output was tested'}"
 
 
 def _general(vectors: Sequence[Result]) -> set[str]:
@@ -47,7 +56,11 @@ def lines(record: Record, suite: Path) -> Iterator[str]:
         suite: the folder of the vectors, for the commands that are printed.
     """
     bad, general = most_telling(record.vectors), _general(record.vectors)
-    for v in bad[:_SHOWN]:
+    alike: dict[tuple[str, ...], list[Result]] = {}
+    for v in bad:
+        alike.setdefault((v.text, *v.stderr.splitlines()[-1:]) if v.status == "crashed" else (v.id,), []).append(v)
+    shown = list(alike.values())[:_SHOWN]
+    for v, *others in shown:
         yield f"{v.status.upper()} {v.id}: {v.text}"
         yield from (f"    {line}" for line in v.divergence)
         if v.status == "crashed":
@@ -59,8 +72,9 @@ def lines(record: Record, suite: Path) -> Iterator[str]:
         # General clauses are left out if there are others.
         read = [clause for clause in v.clauses if clause not in general] or v.clauses
         yield f"    {v.title}; read {', '.join(read)}; {look} {form}"
-    if len(bad) > _SHOWN:
-        yield f"... and {len(bad) - _SHOWN} more; --report lists all"
+        yield from [f"    {len(others)} more crashed alike"] if others else []
+    if more := len(bad) - sum(map(len, shown)):
+        yield f"... and {more} more; --report lists all"
     if bad:
         yield ""
     if record.diagnosis and record.diagnosis.text:
@@ -73,12 +87,12 @@ def lines(record: Record, suite: Path) -> Iterator[str]:
     if runner.interrupted:
         yield "interrupted: the rest was not run"
     if verdict.grade is not None:
-        yield f"grade {verdict.grade} of {max(GRADES)}: {GRADES[verdict.grade]}"
-    for row in record.profiles:
+        yield grade(record)
+    for row in (row for row in record.profiles if row.right or row.verdict == "fails"):
         name = row.profile if row.level is None else f"profile {row.profile}, level {row.level}"
         yield f"  {name:<22} {row.verdict:<10} {row.right} of {row.needed} right"
     for name in ("requirements", "features"):
-        rows = getattr(record, name)
-        others = [key for key, row in rows.items() if row.right != row.vectors]
-        which = f"; not {', '.join(others)}" if 0 < len(others) <= _NAMED else ""
-        yield f"  {name:<22} {len(rows) - len(others)} of {len(rows)} with all their vectors right{which}"
+        rows = {key: row for key, row in getattr(record, name).items() if row.run}
+        wrong = [key for key, row in rows.items() if row.right != row.run]
+        which = f"; not {', '.join(wrong)}" if 0 < len(wrong) <= _NAMED else ""
+        yield f"  {name:<22} {len(rows) - len(wrong)} of {len(rows)} tested are right in every vector run{which}"

@@ -157,6 +157,10 @@ def test_selection(suite: Suite, tmp_path: Path, expressions: list[str], expecte
     assert tuple(by_vector(record)) == expected
     assert record["verdict"]["not_run"] == 6 - len(expected)
     assert record["profiles"][0]["verdict"] == ("conforms" if len(expected) == 6 else "incomplete")
+    text = "\n".join(summary.lines(check(record), suite.folder))
+    said = [words in text for words in (f"; {len(expected)} of 6 vectors run", "no output was tested")]
+    assert said == [len(expected) < 6, not set(expected) & set(GOOD)]
+    assert "1 of 1 tested are right in every vector run" in text
 
 
 def test_usage(suite: Suite) -> None:
@@ -244,6 +248,16 @@ def test_the_anchor_of_a_divergence_is_named(suite: Suite, tmp_path: Path) -> No
         path = os.path.relpath(suite.folder / vector["input"])
         wanted = f"refcodec inspect {shlex.join([path])} {form}"
         assert [line for line in summary.lines(checked, suite.folder) if line.endswith(wanted)]
+
+
+def test_failures_are_before_crashes_and_equal_crashes_are_one(suite: Suite, tmp_path: Path) -> None:
+    _, record = suite.report("right", tmp_path)
+    states = [("crashed", "exit status 70")] * 3 + [("crashed", "SIGSEGV"), ("failed", "wrong"), ("passed", "")]
+    for v, (status, text) in zip(record["vectors"], states, strict=True):
+        v.update(status=status, text=text, stderr="")
+    lines = list(summary.lines(check(record), suite.folder))
+    assert [line.split()[0] for line in lines if line[:6].isupper()] == ["FAILED", "CRASHED", "CRASHED"]
+    assert "    2 more crashed alike" in lines
 
 
 def test_a_missing_package_is_told(suite: Suite) -> None:
