@@ -129,10 +129,9 @@ def export(
         check_outputs([file, words.get("photographs")], (pages[0], PAGE))
     else:
         apply_only(words, ("photographs",), f"{_PAGE} outputs: use --cameras for splats")
-    if not splats:
+    if pages and not splats:
         apply_only(words, ("glb", "degree", "cameras", "iterations", "spz_bits"), "splats: omit it for a page")
-        if pages:
-            return write_page(_shown(file, words), pages[0], words)
+        return write_page(_shown(file, words), pages[0], words)
     _check_splats(file, splats, _PAGE)
     if not any(path.suffix.lower() == ".spz" for path in splats):
         apply_only(words, ("spz_bits",), ".spz outputs: omit it")
