@@ -44,7 +44,7 @@ def difference(expected: bytes | str, output: bytes | str, tolerance: float, sta
     """Returns the first difference in words, or None.
 
     expected, output: JSON. tolerance: relative to the length of the expected vector, or for a mean to its distance from
-    the anchor. static: the means are those of a static scene, which are exact as binary32.
+    the anchor; LEAST and ROUNDING are added. static: the means are of a static scene, and exact as binary32.
     """
     wanted = _by_place(expected)
     try:
