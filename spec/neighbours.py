@@ -23,6 +23,8 @@ from conformance.spec_decoder.program import SPEC
 
 # A check: the name of its function, its error, and the offset as text. Checks with the same ones are one here.
 Check = tuple[str, str, str]
+# Pairs of neighbours in their order, and a vector for pairs of checks that it has both faults of.
+Pairs = tuple[dict[tuple[Check, Check], None], dict[tuple[Check, Check], str]]
 # Seconds of processor time and bytes of memory for a file, which may state any size behind its first fault.
 SECONDS, BYTES = 1.0, 2 << 30
 # The largest accepted vectors that show neighbours, in bytes.
@@ -66,23 +68,19 @@ def _stop(number: int, frame: FrameType | None) -> None:
     raise TimeoutError
 
 
-def pairs(manifest: Manifest) -> tuple[dict[tuple[Check, Check], None], dict[tuple[Check, Check], str]]:
-    """Returns the pairs of neighbours, and for pairs of checks a vector that has both faults.
-
-    A process of its own does it, whose limits end with it.
-    """
+def pairs(manifest: Manifest) -> Pairs:
+    """Returns the pairs of neighbours, and the vectors. A process of its own does it, whose limits end with it."""
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as process:
         return process.submit(_pairs, manifest).result()
 
 
-def _pairs(manifest: Manifest) -> tuple[dict[tuple[Check, Check], None], dict[tuple[Check, Check], str]]:
+def _pairs(manifest: Manifest) -> Pairs:
     made, noted = _Checks(), list[tuple[Check, int | None]]()
     tree = ast.fix_missing_locations(made.visit(ast.parse(program.source(SPEC.read_text(encoding="utf-8")))))
     space = program.names(compile(tree, str(SPEC), "exec"), _note=lambda n, at: noted.append((made.checks[n], at)))
     signal.signal(signal.SIGPROF, _stop)
     resource.setrlimit(resource.RLIMIT_AS, (BYTES, resource.getrlimit(resource.RLIMIT_AS)[1]))
-    neighbours: dict[tuple[Check, Check], None] = {}
-    found: dict[tuple[Check, Check], str] = {}
+    neighbours, found = dict[tuple[Check, Check], None](), dict[tuple[Check, Check], str]()
     for vector in manifest.vectors:
         accepted = isinstance(vector.expectation, Accepted)
         if not isinstance(vector.expectation, Rejected) and not (accepted and vector.input.size <= LARGEST):

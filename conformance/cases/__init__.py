@@ -62,16 +62,16 @@ from .fault import FAULTS, Fault
 from .table import Recipe
 
 # fmt: off
-_CHAPTERS = (
+CHAPTERS = (
     "header", "limits", "dimensions", "directory", "ancillary", "weights_packed", "networks", "planes", "index",
-    "chunks", "positions", "context", "attributes", "entropy_symbols", "entropy_substreams", "order", "elsewhere",
-    "resource", "whole", "static", "cameras")
+    "chunks", "positions", "context", "attributes", "entropy_symbols", "entropy_substreams", "order", "resource",
+    "whole", "static", "elsewhere", "cameras")
 # fmt: on
 
 
 def chapters() -> tuple[ModuleType, ...]:
     """Returns the modules with cases. They need the encoder, but users of the package alone do not."""
-    return tuple(import_module(f"{__name__}.{name}") for name in _CHAPTERS)
+    return tuple(import_module(f"{__name__}.{name}") for name in CHAPTERS)
 
 
 def faults() -> dict[str, Fault[...]]:

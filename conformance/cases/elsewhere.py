@@ -15,7 +15,7 @@ import numpy as np
 
 from refcodec.bitstream.header import PositionGrid
 
-from . import attributes, directory, header, index, limits, planes, positions, weights_packed
+from . import CHAPTERS, attributes, directory, header, index, limits, planes, positions, weights_packed
 from . import entropy_substreams as substreams
 from .samplers import drawn
 from .scenes import SMALLEST, f16, scene
@@ -23,10 +23,9 @@ from .table import Row, again, label_of, refused, valid
 from .target import Target
 from .targets import ATTRIBUTES_0, bare, bare_packed, far, grids, later_main, plain
 
-_CHAPTERS = """
-    ancillary attributes chunks context dimensions directory entropy_substreams entropy_symbols header index limits
-    networks order planes positions static weights_packed"""
-_ROWS = [row for name in _CHAPTERS.split() for row in import_module(f"{__package__}.{name}").CASES]
+# The rows of the modules before this one.
+_BEFORE = CHAPTERS[: CHAPTERS.index("elsewhere")]
+_ROWS = [row for name in _BEFORE for row in import_module(f"{__package__}.{name}").CASES]
 # The rows whose faults are also those of files of minor version 1, and of such files without anchors.
 _NAMES = json.loads(Path(__file__).with_suffix(".json").read_text(encoding="utf-8"))
 

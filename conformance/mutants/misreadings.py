@@ -273,17 +273,19 @@ def halved(statement: ast.stmt) -> Iterator[Edit]:
                 yield Edit(span(node.iter), f"list({_text(node.iter)}){part}", f"missing check of {what}", errors)
 
 
+def _head(loop: ast.For) -> tuple[str, str]:
+    return ast.dump(loop.target), ast.dump(loop.iter)
+
+
 def fused(statement: ast.stmt) -> Iterator[Edit]:
     """Two loops of checks become one, or one becomes two. A check is made before the two checks above it."""
     for body in _bodies(statement):
         for above, one in pairwise(body):
             errors = _errors(above), _errors(one)
             match above, one:
-                case ast.For(), ast.For() if all(errors) and ast.dump(above.iter) == ast.dump(one.iter):
-                    inner = f"\n{' ' * above.body[0].col_offset}".join(map(_text, one.body))
-                    if ast.dump(above.target) == ast.dump(one.target):
-                        new = f"{_text(above)}\n{' ' * above.body[0].col_offset}{inner}"
-                        yield Edit((span(above)[0], span(one)[1]), new, "wrong order: item by item", sum(errors, ()))
+                case ast.For(), ast.For() if all(errors) and _head(above) == _head(one):
+                    new = f"\n{' ' * above.body[0].col_offset}".join(map(_text, [above, *one.body]))
+                    yield Edit((span(above)[0], span(one)[1]), new, "wrong order: item by item", sum(errors, ()))
         for (a, one, errors), (b, two, others), (c, three, last) in zip(
             *(list(_units(body))[i:] for i in range(3)), strict=False
         ):

@@ -132,9 +132,8 @@ class Demo:
         for rate in FURTHER if not self.settings.static else ():
             name = f"{CODED}-{rate:g}"
             scene, file = self.path(name), self.path(f"{name}.c3gs")
-            encode = Step(("encode", str(scene), "-o", str(file)), file, (scene / REPORT_FILE,))
             training = self.training(name, rate, self.path(CODED))
-            jobs[rate] = self.job(name, training, encode, self._evaluation(name, file, file))
+            jobs[rate] = self.job(name, training, _encoding(scene, file), self._evaluation(name, file, file))
         return jobs
 
     def _evaluation(self, name: str, scene: Path, made: Path) -> Step:
@@ -148,7 +147,7 @@ class Demo:
         """The jobs that train, and those after them: for the uncompressed scene, and for the file."""
         plain, scene, file, decoded = map(self.path, (UNCOMPRESSED, CODED, "scene.c3gs", "decoded"))
         coding = [
-            Step(("encode", str(scene), "-o", str(file)), file, (scene / REPORT_FILE,)),
+            _encoding(scene, file),
             Step(("decode", str(file), "-o", str(decoded)), decoded / SCENE_FILE, (file,)),
             self._evaluation(CODED, file, file),
         ]
@@ -158,6 +157,10 @@ class Demo:
         ]
         trainings = {UNCOMPRESSED: 0, CODED: LAMBDA}
         return [[self.job(name, self.training(name, rate)) for name, rate in trainings.items()], rest]
+
+
+def _encoding(scene: Path, file: Path) -> Step:
+    return Step(("encode", str(scene), "-o", str(file)), file, (scene / REPORT_FILE,))
 
 
 def find_example(name: str) -> Path:
