@@ -24,7 +24,7 @@ from refcodec.train.losses import photometric
 from refcodec.train.optimisers import learning_rate
 from refcodec.train.settings import Decay
 from refcodec.train.start import scene_length
-from refcodec.train.views import pixels
+from refcodec.train.views import behind, pixels
 
 # The learning rates of the Gaussians' tensors, in the order of the optimiser; that of means is multiplied by the extent
 # of the scene. Some begin higher than in 3DGS, for short training runs, and end at its values.
@@ -205,7 +205,8 @@ class SplatTrainer:
         screen = torch.zeros(self.count, requires_grad=True)
         # One more degree is in use after each 30th of the steps.
         degree = min(int(share / (1 / 30)), self.settings.degree)
-        image, _, radius = drawn(self.splats, self.photographs.train[number].camera, self.view, degree, screen)
+        view = behind(self.photographs, self.view, self.random)
+        image, _, radius = drawn(self.splats, self.photographs.train[number].camera, view, degree, screen)
         photometric(image, self.images[number], SSIM).backward()
         self.optimiser.step()
         self.optimiser.zero_grad(set_to_none=True)

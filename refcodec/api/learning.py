@@ -22,8 +22,8 @@ class DataWords(TypedDict, total=False):
 
     Args:
         static: learn a static scene: its Gaussians do not depend on the view, and its colours have spherical harmonics.
-        background: colour behind transparent photographs: white, black or R,G,B (default: that of --from, or white if
-            a pixel is transparent, else black).
+        background: colour behind the photographs: white, black or R,G,B (default: that of --from, or white if a pixel
+            is transparent; else none, and no colour shines through the scene).
         holdout: hold out every N-th photograph, or none with 0, unless the data set has a split (default: 8).
         anchors: approximate number of initial anchors (default: the preset's).
         voxel: edge length of the voxels of the initial anchors, in world units.
@@ -159,10 +159,9 @@ def train(
     check_outputs([settings, from_scene], *files, scene=folder, uncompressed=True)
     check_state(folder, state, resume, "; a completed training keeps it only with --keep-state")
     given = None if from_scene is None else read_beginning(Path(from_scene))
-    background = chosen.background
-    if given is not None and background == "auto":
-        background = ",".join(map(str, given.render.background))
-    images = stated_photographs(photographs, chosen.size, background, chosen.holdout)
+    images = stated_photographs(photographs, chosen.size, chosen.background, chosen.holdout)
+    if given is not None and chosen.background == "auto":
+        images = images.over(given.render.background)
     reads = images.places()
     check_outputs(reads, *files, scene=folder, uncompressed=True)
     for text in images.notes:

@@ -49,7 +49,7 @@ __all__ = [
 TEST_EVERY = 8
 Colour = tuple[int, int, int]
 
-# The background: white if a pixel is transparent, as in 3DGS for NeRF's synthetic scenes, and else black.
+# The background: white if a pixel is transparent, as in 3DGS for NeRF's synthetic scenes.
 WHITE, BLACK = (255, 255, 255), (0, 0, 0)
 # Points are outliers beyond so many times the size of the scene: the median distance of the cameras from their middle,
 # or the distance from there of this share of the points, if that is more. So a sky of many points is none.
@@ -94,8 +94,9 @@ class PhotographSet:
     """Photographs for training and held-out ones, both in order of their names, and the points of the scene.
 
     points: float64 [M, 3], world units. colours: uint8 [M, 3], RGB. skipped: number of images without pose.
-    background: that of transparent images. random: whether the points were drawn at random. notes: what was chosen,
-    ignored or left out.
+    background: that of transparent images. opaque: whether nothing is known behind the images: none is transparent, and
+    no background was stated. random: whether the points were drawn at random. notes: what was chosen, ignored or left
+    out.
     """
 
     train: tuple[Photograph, ...]
@@ -104,6 +105,7 @@ class PhotographSet:
     colours: U8
     skipped: int
     background: Colour
+    opaque: bool = False
     random: bool = False
     notes: tuple[str, ...] = ()
 
@@ -123,6 +125,11 @@ class PhotographSet:
         pairs = [zip(some, moved([p.camera for p in some], offset), strict=True) for some in (self.train, self.test)]
         train, test = (tuple(replace(p, camera=camera) for p, camera in pair) for pair in pairs)
         return replace(self, train=train, test=test, points=self.points - offset)
+
+    def over(self, background: Colour) -> PhotographSet:
+        """Returns the photographs over another background."""
+        train, test = (tuple(replace(p, background=background) for p in some) for some in (self.train, self.test))
+        return replace(self, train=train, test=test, background=background)
 
     @property
     def pixels(self) -> int:
@@ -145,9 +152,10 @@ def read_photographs(
     """Reads the photographs of a COLMAP or NeRF folder. If it is both, COLMAP is used, because it has points.
 
     size: (width, height) or the longest side in pixels to which images are averaged down, None for their own.
-    background: that of transparent images, 0 to 255, None for white if one is transparent, and else black. seed: for
-    random points if the folder has none (transforms.random_points). holdout: the period of held-out images, 0 for none.
-    Of several COLMAP models, that of the most images is read. Points far from all others are left out.
+    background: that of transparent images, 0 to 255, None for white if one is transparent, and else the mean colour of
+    the points. seed: for random points if the folder has none (transforms.random_points). holdout: the period of
+    held-out images, 0 for none. Of several COLMAP models, that of the most images is read. Points far from all others
+    are left out.
 
     Images with index % holdout == 0 by name are held out, unless the folder has its own split. The headers of all
     images are read here, their pixels on request, with errors raised then. Raises PhotographError.
@@ -179,14 +187,16 @@ def read_photographs(
             raise PhotographError(
                 folder, f"no image is left for training: {len(test_shots)} are held out", "give two images or more"
             )
-        over = background or (WHITE if any(is_transparent(shot.path) for shot in (*shots, *test_shots)) else BLACK)
+        opaque = background is None and not any(is_transparent(shot.path) for shot in (*shots, *test_shots))
+        mean: Colour = tuple(np.rint(colours.mean(axis=0)).astype(int).tolist()) if len(colours) else BLACK
+        over = background or (mean if opaque else WHITE)
         notes += _unused(folder, [*shots, *test_shots], size)
         train, test = (tuple(_photograph(shot, size, over) for shot in some) for some in (shots, test_shots))
     except OSError as error:
         raise PhotographError(
             error.filename or folder, f"it cannot be read ({error.strerror})", "check the file and its permissions"
         ) from None
-    made = PhotographSet(train, test, points, colours, skipped, over, random)
+    made = PhotographSet(train, test, points, colours, skipped, over, opaque, random)
     near, more = far_points(points, made.centres)
     if not near.any():
         raise PhotographError(folder, f"{more[0]}, and none is left", "estimate the points and the poses again")

@@ -82,6 +82,7 @@ class LearningSettings:
     colour: Decay = setting(Decay(0.008, 5e-4), "of the colour network", f"{OWN}; {SCAFFOLD}: 0.008 to 5e-5")
     planes: Decay = setting(Decay(0.0075, 0.001), "of the planes")
     coding: Decay = setting(Decay(0.005, 0.0005), "of F_h, SARM and CARM", f"{CAT}: 0.005 at first")
+    exposure: Decay = setting(Decay(0.002, 2e-4), "of the photographs' exposures")
     clip: float = setting(1.0, "largest norm of the coding networks' gradient, which is scaled down to it", low=0)
 
 
@@ -344,6 +345,8 @@ MODES: dict[str, tuple[str, ...]] = {
     # observe: gradients and opacities are noted. grow: anchors grow and are dropped, too.
     "growth": ("off", "observe", "grow"),
     "learning": ("on",),
+    # on: each photograph has an affine colour of its own.
+    "exposure": ("off", "on"),
     # on: training ends with the mean of its steps from here on, and no anchor is removed.
     "averaging": ("off", "on"),
 }
@@ -390,8 +393,9 @@ class TrainSettings:
     )
     background: str = setting(
         "auto",
-        "what transparent photographs are laid over: white, black or R,G,B; auto: white if there are any, else black",
-        GS,
+        "what is behind the photographs: white, black or R,G,B; auto: white behind transparent ones; behind opaque "
+        "ones a random colour in each step, so that none shines through, and in the file the points' mean colour",
+        f"{OWN}; {GS}: black behind opaque ones",
         unit="0 to 255",
     )
     low_pass: float = setting(

@@ -64,12 +64,13 @@ class Sight:
 class Step(Sight):
     """A step of training.
 
-    leaves: the anchors' values as tensors with gradients, of which `values` are made. taken: all sets of rows whose
-    leaves have a gradient in this step, those of the image first. The other fields are set once the image is drawn.
-    chosen: the offsets that were drawn, int64 [m], ascending, row * K + offset. opacity: of all offsets [n, K]. screen:
-    [m], whose gradient is that of the projected centres.
+    photograph: its number. leaves: the anchors' values as tensors with gradients, of which `values` are made. taken:
+    all sets of rows whose leaves have a gradient in this step, those of the image first. The other fields are set once
+    the image is drawn. chosen: the offsets that were drawn, int64 [m], ascending, row * K + offset. opacity: of all
+    offsets [n, K]. screen: [m], whose gradient is that of the projected centres.
     """
 
+    photograph: int = 0
     leaves: dict[str, Tensor] = field(default_factory=dict)
     taken: list[tuple[Tensor, dict[str, Tensor]]] = field(default_factory=list)
     chosen: Tensor | None = None
@@ -104,6 +105,10 @@ class Stage:
 
     def prepare(self, step: Step) -> None:
         """Before the image is drawn: changes the values to draw."""
+
+    def photographed(self, step: Step, image: Tensor) -> Tensor:
+        """The image [H, W, 3] that is compared with the photograph: the one that was drawn, if not changed."""
+        return image
 
     def loss(self, step: Step) -> Tensor | None:
         """The term that is added to the loss of the image, a scalar, or None."""

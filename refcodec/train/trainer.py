@@ -31,6 +31,7 @@ from .splat import draw
 from .stage import Run, Stage, Step
 from .stages.rate import Rate
 from .state import Saved, run_steps
+from .views import behind
 
 Watch = Callable[["Trainer"], None]
 # The name of the device's random numbers in a saved state.
@@ -92,6 +93,8 @@ class Trainer(Run):
         for stage in self.stages:
             stage.prepare(step)
         image, volume = self._drawn(step)
+        for stage in self.stages:
+            image = stage.photographed(step, image)
         loss = photometric(image, photograph, self.settings.loss.ssim)
         if volume is not None:
             loss = loss + self.settings.loss.volume * volume
@@ -123,14 +126,15 @@ class Trainer(Run):
         camera = self.cameras[number]
         rows = self.scaffold.visible(camera)
         leaves = self.scaffold.leaves(rows)
-        return Step(camera, rows, dict(leaves), leaves=leaves, taken=[(rows, leaves)])
+        return Step(camera, rows, dict(leaves), photograph=number, leaves=leaves, taken=[(rows, leaves)])
 
     def _drawn(self, step: Step) -> tuple[Tensor, Tensor | None]:
         """The image of a step, and the mean volume of its Gaussians, None if there are none."""
         chosen, gaussians, opacity = self.scaffold.gaussians(step.rows, step.camera, step.values, step.masks)
         screen = torch.zeros(len(chosen), device=self.device, requires_grad=True)
         step.chosen, step.opacity, step.screen = chosen, opacity, screen
-        image, _, _ = draw(gaussians, step.camera, self.drawing, screen)
+        drawing = behind(self.photographs, self.drawing, self.random)
+        image, _, _ = draw(gaussians, step.camera, drawing, screen)
         return image, gaussians[2].prod(dim=1).mean() if len(chosen) else None
 
     def run(self, watch: Watch, keep: Callable[[], None] | None = None) -> bool:

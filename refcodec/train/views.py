@@ -1,6 +1,7 @@
 """Photographs and images of results on the device of a training run."""
 
 from copy import copy
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -9,7 +10,7 @@ from torch import Tensor
 from ..bitstream.dimensions import STATIC
 from ..bitstream.reconstruction import reconstruct
 from ..bitstream.scene import Scene
-from ..photographs.photographs import Photograph
+from ..photographs.photographs import Photograph, PhotographSet
 from ..rendering.camera import Camera
 from ..rendering.gaussians import gaussians_of
 from ..rendering.rasterise import Settings
@@ -23,6 +24,17 @@ def pixels(photograph: Photograph, device: torch.device | str = "cpu") -> Tensor
     if mask is not None:
         image = np.concatenate([image, np.ones_like(image[..., :1])], axis=2) * mask[..., None]
     return torch.from_numpy(image).to(device)
+
+
+def behind(photographs: PhotographSet, drawing: Settings, random: torch.Generator) -> Settings:
+    """The settings by which a step draws: behind opaque photographs with a random background.
+
+    What shines through a scene is wrong in all viewers but those with the background of the training.
+    """
+    if not photographs.opaque:
+        return drawing
+    red, green, blue = torch.rand(3, generator=random).tolist()
+    return replace(drawing, background=(red, green, blue))
 
 
 @torch.no_grad()

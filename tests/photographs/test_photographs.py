@@ -793,13 +793,18 @@ def test_distorted_transforms_are_undistorted(nerf):
 @pytest.mark.parametrize("make", [write_colmap, write_nerf])
 def test_the_background_is_that_of_the_pictures(make, tmp_path):
     make(tmp_path)
-    assert read_photographs(tmp_path).background == (0, 0, 0)
+    photographs = read_photographs(tmp_path)
+    mean = tuple(np.rint(photographs.colours.mean(axis=0)))
+    assert (photographs.background, photographs.opaque) == (mean, True)
+    assert not read_photographs(tmp_path, background=(0, 0, 0)).opaque
+    assert photographs.over((1, 2, 3)).train[0].background == (1, 2, 3)
     file = next((tmp_path / "images").glob("*.png"))
     image = Image.open(file).convert("RGBA")
-    for alpha, background in ((255, (0, 0, 0)), (254, (255, 255, 255))):
+    for alpha, background in ((255, mean), (254, (255, 255, 255))):
         image.putpixel((3, 2), (9, 9, 9, alpha))
         image.save(file)
-        assert read_photographs(tmp_path).background == background
+        photographs = read_photographs(tmp_path)
+        assert (photographs.background, photographs.opaque) == (background, alpha == 255)
 
 
 def test_transparent_images(nerf):

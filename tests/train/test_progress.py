@@ -219,7 +219,12 @@ def test_first_and_last_lines(examples: Path, tmp_path: Path, capsys: pytest.Cap
     assert main(["train", source, "-o", str(scene), *TINY, "--steps", "6", "--log", str(log)]) == 0
     assert logged()
     printed = capsys.readouterr()
-    words = ["65 photographs of 60 x 45", "10 held out", " points, background 0,0,0", " anchors, 6 steps, lambda 0.004"]
+    words = [
+        "65 photographs of 60 x 45",
+        "10 held out",
+        " points, background 89,84,74",
+        " anchors, 6 steps, lambda 0.004",
+    ]
     first = printed.err.splitlines()[0]
     assert first.startswith("train: ")
     assert all(word in first for word in words)

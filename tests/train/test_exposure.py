@@ -1,0 +1,58 @@
+"""Exposures of photographs, and what is behind them."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from refcodec.photographs.photographs import PhotographSet
+from refcodec.train.settings import MODES, TrainSettings
+from refcodec.train.settings_file import varied
+from refcodec.train.stages.exposure import Exposure
+from refcodec.train.trainer import Trainer
+
+ON = {
+    "phases.start.modes.exposure": "on",
+    "learning.exposure": {"start": 0.03, "end": 0.03},
+    "steps": 160,
+    "rate.lambda_r": 0.0,
+}
+
+
+@pytest.fixture(scope="module")
+def uneven(photographs: PhotographSet) -> PhotographSet:
+    """Eight photographs of which every second one is darker by a quarter."""
+    train = tuple(replace(p) for p in photographs.train[:8])
+    for p in train[::2]:
+        p.__dict__["image"] = (p.image * 0.75).astype("uint8")
+    return replace(photographs, train=train)
+
+
+def test_exposures_are_found(uneven: PhotographSet, small: TrainSettings) -> None:
+    """What half of the photographs lack in light is no colour of the scene."""
+    trainer = Trainer(uneven, varied(small, ON))
+    trainer.run(lambda _: None)
+    (stage,) = trainer.of(Exposure)
+    factor, more = stage.values.detach().split(3, dim=1)
+    shade = 0.3 * factor.exp() + more
+    assert 0.65 < shade[::2].mean() / shade[1::2].mean() < 0.85
+    torch.testing.assert_close(stage.values.detach().mean(dim=0), torch.zeros(6), atol=1e-5, rtol=0)
+
+
+def test_without_the_phase_there_are_none(photographs: PhotographSet, small: TrainSettings) -> None:
+    trainer = Trainer(photographs, varied(small, {"steps": 3}))
+    trainer.run(lambda _: None)
+    assert MODES["exposure"][0] == "off"
+    assert not next(trainer.of(Exposure)).values.any()
+
+
+@pytest.mark.parametrize("opaque", [True, False])
+def test_nothing_shines_through_a_scene(opaque: bool, photographs: PhotographSet, small: TrainSettings) -> None:
+    """A scene of opaque photographs looks the same over all backgrounds, one over a stated background need not."""
+    trainer = Trainer(replace(photographs.over((0, 0, 0)), opaque=opaque), varied(small, {"rate.lambda_r": 0.0}))
+    trainer.run(lambda _: None)
+    camera = photographs.train[0].camera
+    black = trainer.draw(camera)
+    trainer.drawing = replace(trainer.drawing, background=(1.0, 1.0, 1.0))
+    through = float((trainer.draw(camera) - black).mean())
+    assert (through < 0.05) == opaque
