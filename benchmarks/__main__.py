@@ -17,7 +17,6 @@ BENCHMARKS = {
     "decode": ("decoders", "decode", "Decoding a large scene"),
     "peers-speed": ("peers.speed", "section", "Decoding time beside SPZ"),
     "exports": ("exports", "section", "Exported scenes"),
-    "viewers": ("viewers", "section", "What other programs draw"),
     "converted": ("converted", "section", "Converted splat files"),
     "worst": ("worst", "section", "The worst files of each step"),
     "gpu": ("gpu", "section", "Training on a GPU beside the CPU"),

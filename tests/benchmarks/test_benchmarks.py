@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from benchmarks import converted, exports, results, viewers, worst
+from benchmarks import converted, exports, results, worst
 from benchmarks.__main__ import main
 from benchmarks.large import TRAINED, large_file, made_static
 from benchmarks.peers import __main__ as peers
@@ -186,14 +186,6 @@ def test_exports(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[
     rows = printed(capsys)
     assert [row[:3] for row in rows if row[1] == ".sog"] == [["a", ".sog", "0"], ["b", ".sog", "2"]]
     assert len(rows) == 12
-
-
-def test_viewers_need_packages(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(viewers, "FOLDER", tmp_path)
-    assert main(["viewers", "--scene", "a", str(TRAINED), str(CALITERRA)]) == 64
-    assert viewers.INSTALL in capsys.readouterr().err
 
 
 @pytest.mark.slow
