@@ -202,6 +202,8 @@ def check_outputs(
         uncompressed: whether that folder may hold an uncompressed scene.
         made: whether the command makes missing folders.
     """
+    if scene is not None and Path(scene).suffix.lower() == ".c3gs":
+        raise UsageError(f"{scene} is the name of a file, but a scene folder is written: choose another name")
     if scene is not None and not is_free(Path(scene), uncompressed):
         raise UsageError(f"{scene} exists and is not a scene folder: choose another folder, or empty it")
     folder = [] if scene is None else scene_files(Path(scene))

@@ -27,7 +27,7 @@ WRONG = rows(
     decode scene.c3gs | decode needs --output or --splat
     decode nowhere.c3gs -o new | nowhere.c3gs: No such file
     decode scene.c3gs -o photos | not a scene folder
-    decode scene.c3gs -o scene.c3gs | not a scene folder
+    decode scene.c3gs -o scene.c3gs | scene.c3gs is the name of a file
     decode scene.c3gs -o scene.c3gs/x | ot a directory
     decode scene.c3gs -o new --chunks 2:1 | --chunks must be A:B with A below B, not 2:1
     decode scene.c3gs -o new --chunks 1:9 | scene.c3gs: there is no chunk 8
@@ -104,6 +104,7 @@ WRONG = rows(
     train photos -o new --holdout=-1 | --holdout must be a whole number of at least 0, not -1
     train photos -o new --anchors 5 --voxel 1 | not allowed with
     train photos -o photos | not a scene folder | torch numba
+    train photos -o new.c3gs | new.c3gs is the name of a file, but a scene folder is written | torch numba
     train photos -o new --from none | is not a scene folder | torch numba
     train photos -o new --from photos | cannot continue training | torch numba
     fit points3D.txt -o new --steps 0 | --steps must be a whole number of at least 1, not 0
