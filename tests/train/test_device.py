@@ -7,6 +7,7 @@ compared with those by the kernels for CPUs. Drawing runs on the CPU.
 """
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -219,6 +220,8 @@ def test_a_step_is_that_of_the_cpu(device: str, tiny: PhotographSet, tmp_path: P
     rounded as soon as they can be, because devices have noise of their own.
     """
     settings, path = varied(TrainSettings(), {**SHORT, "phases.rounding.begin": 0.4}), tmp_path / "state"
+    # Random backgrounds are other random numbers, by which one more value falls on the other side.
+    tiny = replace(tiny.over((0, 0, 0)), opaque=False)
     along = trained(tiny, settings, "cpu", 0)
     for done in (0, 19, 35, 49, 57):
         while along.clock.done < done:
