@@ -1,6 +1,7 @@
 """Exposures of photographs, and what is behind them."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 import torch
@@ -9,6 +10,7 @@ from refcodec.photographs.photographs import PhotographSet
 from refcodec.train.settings import MODES, TrainSettings
 from refcodec.train.settings_file import varied
 from refcodec.train.stages.exposure import Exposure
+from refcodec.train.state import restore, save
 from refcodec.train.trainer import Trainer
 
 ON = {
@@ -28,11 +30,18 @@ def uneven(photographs: PhotographSet) -> PhotographSet:
     return replace(photographs, train=train)
 
 
-def test_exposures_are_found(uneven: PhotographSet, small: TrainSettings) -> None:
-    """What half of the photographs lack in light is no colour of the scene."""
+def test_exposures_are_found(uneven: PhotographSet, small: TrainSettings, tmp_path: Path) -> None:
+    """What half of the photographs lack in light is no colour of the scene. A saved training finds the same."""
     trainer = Trainer(uneven, varied(small, ON))
+    while trainer.clock.done < 80:
+        trainer.step()
+    save(trainer, tmp_path / "state")
     trainer.run(lambda _: None)
-    (stage,) = trainer.of(Exposure)
+    again = Trainer(uneven, varied(small, ON))
+    restore(again, tmp_path / "state")
+    again.run(lambda _: None)
+    (stage,), (other,) = trainer.of(Exposure), again.of(Exposure)
+    torch.testing.assert_close(other.values, stage.values, rtol=0, atol=0)
     factor, more = stage.values.detach().split(3, dim=1)
     shade = 0.3 * factor.exp() + more
     assert 0.65 < shade[::2].mean() / shade[1::2].mean() < 0.85
