@@ -347,6 +347,8 @@ MODES: dict[str, tuple[str, ...]] = {
     "learning": ("on",),
     # on: each photograph has an affine colour of its own.
     "exposure": ("off", "on"),
+    # half: photographs are of half their width and height, if enough pixels are left.
+    "size": ("full", "half"),
     # on: training ends with the mean of its steps from here on, and no anchor is removed.
     "averaging": ("off", "on"),
 }
@@ -366,10 +368,10 @@ class Phase(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 PHASES = (
-    Phase("start", 0.0, {"growth": "observe"}),
+    Phase("start", 0.0, {"growth": "observe", "size": "half"}),
     Phase("growth", 0.03, {"growth": "grow"}),
     Phase("masks", 0.25, {"masks": "on"}),
-    Phase("rate", 0.4, {"growth": "off", "rate": "on", "quantisation": "noise"}),
+    Phase("rate", 0.4, {"size": "full", "growth": "off", "rate": "on", "quantisation": "noise"}),
     Phase("rounding", 0.6, {"quantisation": "round"}),
     Phase("integers", 0.8, {"rate": "integers"}),
     Phase("weights", 0.85, {"weights": "grid"}),
@@ -384,7 +386,7 @@ PHASES = (
 class TrainSettings:
     """The settings of training a scene from photographs, which `refcodec train --print-settings` prints."""
 
-    steps: int = setting(4000, "steps of training, a photograph each", f"{OWN}; {PRO}: 40,000", unit="steps", low=1)
+    steps: int = setting(5000, "steps of training, a photograph each", f"{OWN}; {PRO}: 40,000", unit="steps", low=1)
     seed: int = setting(0, "of all random numbers", low=0, high=2**63 - 1)
     size: str = setting(
         "400",

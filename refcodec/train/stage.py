@@ -103,6 +103,10 @@ class Stage:
     def before_step(self) -> None:
         """Before a step: creates the objects that the phase requires, unless they exist."""
 
+    def viewed(self, camera: Camera, photograph: Tensor) -> tuple[Camera, Tensor]:
+        """The camera in training units and the photograph of a step: the whole ones, if not changed."""
+        return camera, photograph
+
     def prepare(self, step: Step) -> None:
         """Before the image is drawn: changes the values to draw."""
 

@@ -89,7 +89,7 @@ class Trainer(Run):
         for stage in self.stages:
             stage.before_step()
         number = self._next_view()
-        step, photograph = self._looked_at(number), self._image(number)
+        step, photograph = self._looked_at(number)
         for stage in self.stages:
             stage.prepare(step)
         image, volume = self._drawn(step)
@@ -122,11 +122,15 @@ class Trainer(Run):
             self._images[number] = self.pixels(self.photographs.train[number])
         return self._images[number]
 
-    def _looked_at(self, number: int) -> Step:
-        camera = self.cameras[number]
+    def _looked_at(self, number: int) -> tuple[Step, Tensor]:
+        """A step before anything is drawn, and its photograph."""
+        camera, photograph = self.cameras[number], self._image(number)
+        for stage in self.stages:
+            camera, photograph = stage.viewed(camera, photograph)
         rows = self.scaffold.visible(camera)
         leaves = self.scaffold.leaves(rows)
-        return Step(camera, rows, dict(leaves), photograph=number, leaves=leaves, taken=[(rows, leaves)])
+        step = Step(camera, rows, dict(leaves), photograph=number, leaves=leaves, taken=[(rows, leaves)])
+        return step, photograph
 
     def _drawn(self, step: Step) -> tuple[Tensor, Tensor | None]:
         """The image of a step, and the mean volume of its Gaussians, None if there are none."""

@@ -22,6 +22,7 @@ from refcodec.train.messages import opening
 from refcodec.train.settings import TrainSettings
 from refcodec.train.settings_file import varied
 from refcodec.train.stage import Stage, Step
+from refcodec.train.stages import size
 from refcodec.train.state import Saved, restore
 from refcodec.train.trainer import Trainer
 
@@ -46,6 +47,21 @@ def test_what_a_training_says(trained: Trainer, coded: Scene, small: TrainSettin
     assert varied(TrainSettings(), facts["settings"]) == small
     assert len(facts["history"]) >= small.looks.count
     assert facts["history"][-1]["psnr"] > facts["history"][0]["psnr"] + 1
+
+
+@pytest.mark.parametrize(("least", "halves"), [(1, 3), (size.PIXELS, 0)])
+def test_photographs_are_halved_at_first(
+    least: int, halves: int, photographs: PhotographSet, small: TrainSettings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Until the rate begins, but not to nothing. A halved photograph shows the same through the same camera."""
+    monkeypatch.setattr(size, "PIXELS", least)
+    trainer, whole, widths = Trainer(photographs, varied(small, {"steps": 10})), photographs.train[0], list[int]()
+    step, photograph = trainer._looked_at(0)
+    assert photograph.shape == (step.camera.height, step.camera.width, 3)
+    assert step.camera.fx / step.camera.width == pytest.approx(whole.camera.fx / whole.camera.width)
+    assert float(photograph.mean()) == pytest.approx(whole.image.mean() / 255, rel=1e-3)
+    trainer.run(lambda run: widths.append(run._looked_at(0)[0].camera.width))
+    assert widths == [whole.camera.width // 2] * halves + [whole.camera.width] * (10 - halves)
 
 
 DIGEST = """

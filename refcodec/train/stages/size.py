@@ -1,0 +1,27 @@
+"""Size: the photographs are of half their size at first, because coarse anchors do not need more.
+
+The time that this saves buys a fourth more steps.
+"""
+
+from torch import Tensor
+from torch.nn.functional import adaptive_avg_pool2d
+
+from ...rendering.camera import Camera
+from ..stage import Stage
+
+# The least pixels of a halved photograph. Fewer save little: anchors take most of the time (benchmarks/RESULTS.md).
+PIXELS = 20000
+
+
+class Size(Stage):
+    """Halves the width and the height of the photographs."""
+
+    name = "size"
+
+    def viewed(self, camera: Camera, photograph: Tensor) -> tuple[Camera, Tensor]:
+        """The camera and the photograph (views.pixels) of a step."""
+        width, height = camera.width // 2, camera.height // 2
+        if self.mode == "full" or width * height < PIXELS:
+            return camera, photograph
+        halved = adaptive_avg_pool2d(photograph.permute(2, 0, 1), (height, width)).permute(1, 2, 0)
+        return camera.resized(width, height), halved.contiguous()
