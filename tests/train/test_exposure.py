@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from refcodec.photographs.photographs import PhotographSet
-from refcodec.train.settings import MODES, TrainSettings
+from refcodec.train.settings import TrainSettings
 from refcodec.train.settings_file import varied
 from refcodec.train.stages.exposure import Exposure
 from refcodec.train.state import restore, save
@@ -46,13 +46,6 @@ def test_exposures_are_found(uneven: PhotographSet, small: TrainSettings, tmp_pa
     shade = 0.3 * factor.exp() + more
     assert 0.65 < shade[::2].mean() / shade[1::2].mean() < 0.85
     torch.testing.assert_close(stage.values.detach().mean(dim=0), torch.zeros(6), atol=1e-5, rtol=0)
-
-
-def test_without_the_phase_there_are_none(photographs: PhotographSet, small: TrainSettings) -> None:
-    trainer = Trainer(photographs, varied(small, {"steps": 3}))
-    trainer.run(lambda _: None)
-    assert MODES["exposure"][0] == "off"
-    assert not next(trainer.of(Exposure)).values.any()
 
 
 @pytest.mark.parametrize("opaque", [True, False])

@@ -1,7 +1,4 @@
-"""Size: the photographs are of half their size at first, because coarse anchors do not need more.
-
-The time that this saves buys a fourth more steps.
-"""
+"""Size: photographs are halved at first, because coarse anchors need no fine pixels; the time buys more steps."""
 
 from torch import Tensor
 from torch.nn.functional import adaptive_avg_pool2d
