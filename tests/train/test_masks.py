@@ -39,7 +39,7 @@ def losses(trainer: Trainer) -> list[float]:
     rate, values = trainer.rate, []
     assert rate is not None
     for part in (rate.masks, rate):
-        step = trainer._looked_at(0)
+        step, _ = trainer._looked_at(0)
         everyone = torch.arange(trainer.scaffold.count)
         step.rows, step.leaves = everyone, trainer.scaffold.leaves(everyone)
         torch.manual_seed(0)
