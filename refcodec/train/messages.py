@@ -15,6 +15,7 @@ from ..files.terminal import ProgressStream, note
 from ..files.text import shell_word
 from ..photographs.photographs import excluded
 from .estimate import UNCOUNTED
+from .stages.size import Size
 from .trainer import Trainer, Watch
 
 # Seconds between two lines of progress where there is no terminal.
@@ -44,7 +45,9 @@ def opening(trainer: Trainer) -> str:
 def line(trainer: Trainer) -> str:
     """The progress of a training run. A value that is not measured yet is left out."""
     clock, looks, last = trainer.clock, trainer.looks, trainer.looks.history[-1:]
-    words = [f"step {clock.done} of {clock.steps}", f"{np.mean(looks.recent):.2f} dB"]
+    halved = any(stage.halves(trainer.cameras[0], clock.done - len(looks.recent)) for stage in trainer.of(Size))
+    shown = f"{np.mean(looks.recent):.2f} dB{' of halved photographs' if halved else ''}"
+    words = [f"step {clock.done} of {clock.steps}", shown]
     words += [f"held-out {look['psnr']:.2f} dB" for look in last]
     words += [f"{trainer.scaffold.count} anchors"]
     return ", ".join([*words, *_size(trainer), *_left(trainer)])

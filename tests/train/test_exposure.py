@@ -56,5 +56,6 @@ def test_nothing_shines_through_a_scene(opaque: bool, photographs: PhotographSet
     camera = photographs.train[0].camera
     black = trainer.draw(camera)
     trainer.drawing = replace(trainer.drawing, background=(1.0, 1.0, 1.0))
+    assert not next(trainer.of(Exposure)).values.any()
     through = float((trainer.draw(camera) - black).mean())
     assert (through < 0.05) == opaque

@@ -18,7 +18,7 @@ from refcodec.bitstream.scene import Scene
 from refcodec.evaluate.evaluation import evaluate
 from refcodec.photographs.photographs import Photograph, PhotographSet
 from refcodec.train.command import report, train
-from refcodec.train.messages import opening
+from refcodec.train.messages import line, opening
 from refcodec.train.settings import TrainSettings
 from refcodec.train.settings_file import varied
 from refcodec.train.stage import Stage, Step
@@ -60,6 +60,7 @@ def test_photographs_are_halved_at_first(
     assert photograph.shape == (step.camera.height, step.camera.width, 3)
     assert float(photograph.mean()) == pytest.approx(whole.image.mean() / 255, rel=1e-3)
     trainer.run(lambda run: widths.append(run._looked_at(0)[0].camera.width))
+    assert ("of halved photographs" in line(trainer)) == bool(halves)
     assert widths == [whole.camera.width // 2] * halves + [whole.camera.width] * (10 - halves)
 
 

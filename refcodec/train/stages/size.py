@@ -15,10 +15,15 @@ class Size(Stage):
 
     name = "size"
 
+    def halves(self, camera: Camera, done: int | None = None) -> bool:
+        """Whether a camera's photographs are halved after `done` steps, or now."""
+        mode = self.run.clock.mode(self.name, done)
+        return mode == "half" and (camera.width // 2) * (camera.height // 2) >= PIXELS
+
     def viewed(self, camera: Camera, photograph: Tensor) -> tuple[Camera, Tensor]:
         """The camera and the photograph (views.pixels) of a step."""
-        width, height = camera.width // 2, camera.height // 2
-        if self.mode == "full" or width * height < PIXELS:
+        if not self.halves(camera):
             return camera, photograph
+        width, height = camera.width // 2, camera.height // 2
         halved = adaptive_avg_pool2d(photograph.permute(2, 0, 1), (height, width)).permute(1, 2, 0)
         return camera.resized(width, height), halved.contiguous()
