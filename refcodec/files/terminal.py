@@ -35,7 +35,7 @@ def open_streams() -> None:
 def note(text: str) -> None:
     """Prints a line on stderr. Errors of stderr are ignored."""
     with contextlib.suppress(OSError, ValueError):
-        print(printable(text, LINE_MAX), file=sys.stderr, flush=True)
+        print(printable(text, LINE_MAX) + "\n", end="", file=sys.stderr, flush=True)
 
 
 def say(text: str, lines: bool = False) -> None:
