@@ -31,7 +31,7 @@ from refcodec.experiments.cells import WORK, Evaluation, hash_of, read_result, w
 from refcodec.experiments.command import FORMAT, MARK
 from refcodec.experiments.jobs import Job, Step, Watch, claim, dumped, read, run_jobs
 from refcodec.experiments.plan import read_experiment
-from refcodec.experiments.tables import Row, grouped, row, spread_text, table
+from refcodec.experiments.tables import Row, grouped, row, spread_text, table, write_curves
 from refcodec.files.lock import hold_folder
 from refcodec.files.text import printable
 from refcodec.formats.splats import Splats
@@ -39,13 +39,13 @@ from refcodec.formats.table import read_splats, write_splats
 from refcodec.photographs.photographs import PhotographSet, parse_size, read_photographs
 from refcodec.statuses import DONE, INTERRUPTED, USAGE
 
-from ..results import kb, machine, publish
+from ..results import ROOT, kb, machine, publish
 from .convert import FORMATS, INSTALL, VERSION, ToolError, there_and_back, tool
 from .trainer import SplatSettings, SplatTrainer, view_settings
 
 # The names of methods in the table by those of cells, and the method to compare with.
 LABELS = {"pro": "C3GS", "static": "C3GS, static", "uncompressed": "Scaffold-GS"}
-LABELS |= {f"3dgs-{kind}": f"3DGS, {kind.upper()}" for kind in ("ply", *FORMATS)}
+LABELS |= {f"3dgs-{kind}": f"3DGS, {kind.upper()}" for kind in FORMATS}
 BASELINE = LABELS["3dgs-spz"]
 # The least number of seeds of a result.
 SEEDS = 3
@@ -141,9 +141,9 @@ def run(plan: Path, folder: Path, caps: Sequence[int], jobs: int) -> int:
 
 
 def rows(folder: Path) -> Iterator[Row]:
-    """Yields the rows of all results in a folder, with the size of the photographs. lambda_r: that, or the cap."""
+    """Yields the rows of a folder's results but PLY, with the size of the photographs. lambda_r: that, or the cap."""
     for path in sorted(folder.glob("cells/*/*/*/seed-*/result.json")):
-        if result := read_result(path.parent):
+        if "3dgs-ply" not in path.parts and (result := read_result(path.parent)):
             scene, method, strength, seed = path.parent.parts[-4:]
             label, settings = LABELS.get(method, f"C3GS, {method}"), result.definition["settings"]
             made = row(scene, label, float(strength.partition("-")[2]), int(seed.partition("-")[2]), result)
@@ -188,12 +188,15 @@ def report(results: Sequence[Row], seeds: int) -> list[str]:
 
 
 def tables(folders: Sequence[Path], seeds: int, write: bool) -> int:
-    """Prints the tables of folders, and writes the sections of RESULTS.md, one for each size of photographs."""
+    """Prints the tables of folders, and writes the sections of RESULTS.md, with curves, of each size of photographs."""
     results = [one for folder in folders for one in rows(folder)]
     for size in sorted({one["size"] for one in results}):
-        lines = report([one for one in results if one["size"] == size], seeds)
+        shown = [one for one in results if one["size"] == size]
+        lines = report(shown, seeds)
         head = ["`python -m benchmarks.peers table FOLDER --write`", "", machine("torch"), *NOTE, ""]
         publish(f"peers-{size}", f"Peers in one harness, {size} pixels", [*head, *lines], write)
+        if write:
+            write_curves(ROOT / "docs" / "pictures" / f"peers-{size}", shown, "svg")
     return DONE
 
 

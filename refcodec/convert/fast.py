@@ -229,8 +229,7 @@ def _lattice(given: Measured, error_per_bit: float) -> tuple[PositionGrid, F32]:
     # All cells are within the tree. Multiples of a mantissa of VOXEL_BITS bits are exact in float32.
     least = max(reach / END, float(np.abs(core).max()) * 2.0 ** (VOXEL_BITS - 24)) or 1.0
     voxel = min(max(float(POSITION * _step(error_per_bit, given.by_mean.mean())), least), max(reach, least))
-    # A finer lattice does not separate equal means.
-    # Their bits, times odd numbers, tell means apart.
+    # A finer lattice does not separate equal means. Their bits, times odd numbers, tell means apart.
     bits = given.mean.view(np.uint32).astype(np.uint64) @ np.array(ODD, np.uint64)
     crowded = CROWDED + 1 - len(np.unique(bits)) / len(mean)
     # The most important ones choose first.

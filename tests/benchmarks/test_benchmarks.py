@@ -122,7 +122,7 @@ def _kept(losses: list[float], *values: object) -> torch.Tensor:
 
 @pytest.mark.slow
 def test_peers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    """3DGS is trained for a plan, once, and its cells are in one table with those of an experiment."""
+    """3DGS is trained for a plan, once, and its cells are in one table and picture with those of an experiment."""
     plan = tmp_path / "plan.toml"
     text = f'lambdas = [0.01]\nseeds = [0]\nsteps = 3\n[[scenes]]\nname = "a"\nphotographs = "{CALITERRA}"\nsize = 40\n'
     plan.write_text(text + '[[methods]]\nname = "pro"\n')
@@ -138,8 +138,11 @@ def test_peers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.C
     job.record.write_bytes(peers.dumped({"train": entry}))
     (out / "experiment.json").write_text('{"format": "C3GS experiment"}')
     assert peers.main(["run", str(plan), "-o", str(out), "--caps", "200"]) == 0
-    assert peers.main(["table", str(out), "--seeds", "1"]) == 0
+    monkeypatch.setattr(results, "RESULTS", tmp_path / "RESULTS.md")
+    monkeypatch.setattr(peers, "ROOT", tmp_path)
+    assert peers.main(["table", str(out), "--seeds", "1", "--write"]) == 0
     assert "| a | 3DGS, SPZ | 200 | 1 | 1,000 | 30.00 | 0.9000 | 5 |" in capsys.readouterr().out
+    assert (tmp_path / "docs" / "pictures" / "peers-40" / "a.svg").read_bytes()
     # The training itself, without the program that writes SPZ and SOG.
     monkeypatch.setattr(peers, "FORMATS", ())
     made = peers.train(CALITERRA, tmp_path / "b", SplatSettings(200, 3, "40", 0))
