@@ -1,7 +1,7 @@
 """Peers in one harness: plain 3DGS, as SPZ and SOG, beside the cells of an experiment.
 
 python -m benchmarks.peers run PLAN -o FOLDER --caps 32000    trains 3DGS for each scene and seed of PLAN
-python -m benchmarks.peers table FOLDER                       one table of all cells in a folder
+python -m benchmarks.peers table FOLDER                       one table, and curves with --write, of a folder's cells
 python -m benchmarks.peers scene SPLAT.ply -o FOLDER          renders photographs of a splat, in NeRF's format
 
 PLAN is the file of an experiment, and FOLDER the folder of `refcodec experiment PLAN -o FOLDER`, which trains C3GS. A
@@ -165,15 +165,14 @@ def bytes_at(points: Sequence[tuple[float, float]], psnr: float) -> float | None
     return next((size for size, own in points if own == psnr), None)
 
 
-def report(results: Sequence[Row], seeds: int) -> list[str]:
-    """Returns the lines of two tables: figures, and sizes at the PSNR of BASELINE. seeds: the least number of a row."""
+def report(results: Sequence[Row]) -> list[str]:
+    """Returns the lines of two tables: figures, and sizes at the PSNR of BASELINE."""
     body, curves = [], dict[tuple[str, str], list[tuple[float, float]]]()
     for (scene, label, strength), several in sorted(grouped(results, "scene", "method", "lambda_r").items()):
-        if len(several) >= seeds:
-            figures = {name: [one[name] for one in several] for name in ("bytes", "psnr", "ssim", "processor_seconds")}
-            cells = [spread_text(values, digits) for values, digits in zip(figures.values(), (0, 2, 4, 0), strict=True)]
-            body.append([scene, label, f"{strength:g}", str(len(several)), *cells])
-            curves.setdefault((scene, label), []).append((fmean(figures["bytes"]), fmean(figures["psnr"])))
+        figures = {name: [one[name] for one in several] for name in ("bytes", "psnr", "ssim", "processor_seconds")}
+        cells = [spread_text(values, digits) for values, digits in zip(figures.values(), (0, 2, 4, 0), strict=True)]
+        body.append([scene, label, f"{strength:g}", str(len(several)), *cells])
+        curves.setdefault((scene, label), []).append((fmean(figures["bytes"]), fmean(figures["psnr"])))
     equal, others = [], sorted({label for _, label in curves} - {BASELINE})
     for scene in sorted({scene for scene, _ in curves}):
         for own, psnr in sorted(curves.get((scene, BASELINE), [])):
@@ -188,15 +187,15 @@ def report(results: Sequence[Row], seeds: int) -> list[str]:
 
 
 def tables(folders: Sequence[Path], seeds: int, write: bool) -> int:
-    """Prints the tables of folders, and writes the sections of RESULTS.md, with curves, of each size of photographs."""
-    results = [one for folder in folders for one in rows(folder)]
-    for size in sorted({one["size"] for one in results}):
-        shown = [one for one in results if one["size"] == size]
-        lines = report(shown, seeds)
+    """Prints a section of RESULTS.md for each size, of points with `seeds` or more; `write` writes them and curves."""
+    points = grouped([one for folder in folders for one in rows(folder)], "size", "scene", "method", "lambda_r")
+    results = [one for several in points.values() if len(several) >= seeds for one in several]
+    for (size,), shown in sorted(grouped(results, "size").items()):
+        lines = report(shown)
         head = ["`python -m benchmarks.peers table FOLDER --write`", "", machine("torch"), *NOTE, ""]
         publish(f"peers-{size}", f"Peers in one harness, {size} pixels", [*head, *lines], write)
         if write:
-            write_curves(ROOT / "docs" / "pictures" / f"peers-{size}", shown, "svg")
+            write_curves(ROOT / "docs" / "pictures" / f"peers-{size}", shown, ("svg",))
     return DONE
 
 

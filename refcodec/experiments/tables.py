@@ -219,13 +219,13 @@ def as_markdown(title: str, rows: Sequence[Row], missing: str, baseline: str | N
 # --- curves -----------------------------------------------------------------------------------------------------------
 
 
-def write_curves(folder: Path, rows: Sequence[Row], *suffixes: str) -> None:
+def write_curves(folder: Path, rows: Sequence[Row], suffixes: Sequence[str] = ("png", "svg")) -> None:
     """Writes SCENE.SUFFIX for each scene and suffix. Points are means over seeds, bars sample deviations."""
     # The same rows give the same SVG.
     with mpl.rc_context({"svg.hashsalt": "C3GS"}):
         for (scene,), of_scene in grouped(rows, "scene").items():
             figure = draw(scene, of_scene)
-            for suffix in suffixes or ("png", "svg"):
+            for suffix in suffixes:
                 data = io.BytesIO()
                 figure.savefig(data, dpi=150, format=suffix, metadata={"Date": None} if suffix == "svg" else {})
                 write_file(folder / f"{scene}.{suffix}", data.getvalue())

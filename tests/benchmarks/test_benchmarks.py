@@ -142,7 +142,7 @@ def test_peers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.C
     monkeypatch.setattr(peers, "ROOT", tmp_path)
     assert peers.main(["table", str(out), "--seeds", "1", "--write"]) == 0
     assert "| a | 3DGS, SPZ | 200 | 1 | 1,000 | 30.00 | 0.9000 | 5 |" in capsys.readouterr().out
-    assert (tmp_path / "docs" / "pictures" / "peers-40" / "a.svg").read_bytes()
+    assert set(re.findall(r"3DGS, \w+", (tmp_path / "docs/pictures/peers-40/a.svg").read_text())) == {"3DGS, SPZ"}
     # The training itself, without the program that writes SPZ and SOG.
     monkeypatch.setattr(peers, "FORMATS", ())
     made = peers.train(CALITERRA, tmp_path / "b", SplatSettings(200, 3, "40", 0))
@@ -157,7 +157,7 @@ def test_bytes_between_two_points() -> None:
     row = {"scene": "a", "seed": 0, "ssim": 0.9, "processor_seconds": 5}
     points = [("C3GS", 1, 100, 30), ("C3GS", 2, 400, 32), (peers.BASELINE, 9, 800, 31), ("C3GS, static", 1, 9, 31)]
     rows = [row | {"method": m, "lambda_r": s, "bytes": b, "psnr": p} for m, s, b, p in points]
-    assert "| a | 31.00 | 0.8 | 0.2 | - |" in peers.report(rows, 1)
+    assert "| a | 31.00 | 0.8 | 0.2 | - |" in peers.report(rows)
 
 
 def test_a_scene_of_a_splat(tmp_path: Path) -> None:
