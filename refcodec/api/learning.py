@@ -46,7 +46,7 @@ class TrainingWords(DataWords, total=False):
     """The words of DataWords, and how long a training is.
 
     Args:
-        preset: fast: 4,000 steps, photographs of 400 pixels, about 5,000 anchors at first, or more with random points;
+        preset: fast: 5,000 steps, photographs of 400 pixels, about 5,000 anchors at first, or more with random points;
             paper: 40,000 steps, 1,600 pixels, the median distance of neighbouring points as voxel size (default: fast).
         steps: training steps (default: the preset's).
         size: size to which photographs are averaged down, longest side, or full for unscaled (default: the preset's).

@@ -136,8 +136,7 @@ def reading(
     """Yields as opened_source. Raises BoundPassedError if the header exceeds the limits.
 
     copies, gaussians: of the scene, and of a static scene's Gaussians, that the caller holds. program: the bytes of its
-    further packages. An invalid header is
-    left to the decoder.
+    further packages. An invalid header is left to the decoder.
     """
     with opened_source(place, limits_of(words).beside(program)) as (source, left):
         with contextlib.suppress(BitstreamError):

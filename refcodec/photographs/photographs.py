@@ -143,11 +143,7 @@ class PhotographSet:
 
 
 def read_photographs(
-    folder: str | Path,
-    size: Size = None,
-    background: Colour | None = None,
-    seed: int = 0,
-    holdout: int = TEST_EVERY,
+    folder: str | Path, size: Size = None, background: Colour | None = None, seed: int = 0, holdout: int = TEST_EVERY
 ) -> PhotographSet:
     """Reads the photographs of a COLMAP or NeRF folder. If it is both, COLMAP is used, because it has points.
 

@@ -48,12 +48,16 @@ class Units:
 
 @dataclass(frozen=True, eq=False)
 class FirstAnchors:
-    """The anchors of the beginning. lattice: int64 [N, 3], cells. colours: [N, 3], from -1 to 1. sizes: [N], world."""
+    """The anchors of the beginning. cube: whether they fill a cube, and must find the scene.
+
+    lattice: int64 [N, 3], cells. colours: [N, 3], from -1 to 1. sizes: [N], world.
+    """
 
     units: Units
     lattice: I64
     colours: F64
     sizes: F64
+    cube: bool
 
 
 def scene_length(photographs: PhotographSet) -> float:
@@ -110,10 +114,10 @@ def first_anchors(photographs: PhotographSet, settings: TrainSettings) -> FirstA
     if not len(photographs.points):
         raise ValueError("there are no points to begin with")
     start, anchors = settings.start, asked_for(photographs, settings)
-    points, seen, cells = photographs.points, photographs.colours, start.cells
+    points, seen, cells, cube = photographs.points, photographs.colours, start.cells, False
     if photographs.random:
         points, seen = carved(photographs, max(start.drawn, POINTS_EACH * anchors), settings.seed)
-        cells = start.random_cells
+        cells, cube = start.random_cells, points is photographs.points
     length = scene_length(photographs)
     voxel = start.voxel or (choose_voxel(points, anchors) if anchors else default_voxel(points.astype(np.float32)))
     grid = choose_grid(points.astype(np.float32), short_mantissa(voxel / cells))
@@ -129,4 +133,4 @@ def first_anchors(photographs: PhotographSet, settings: TrainSettings) -> FirstA
     near = cKDTree(away).query(lattice, min(start.colours, len(points)))[1].reshape(n, -1)
     colours = seen[near].mean(axis=1) / 255 * 2 - 1
     sizes = np.maximum(spread, start.least_cells) * units.cell * length
-    return FirstAnchors(units, lattice, colours, sizes)
+    return FirstAnchors(units, lattice, colours, sizes, cube)

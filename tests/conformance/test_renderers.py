@@ -38,11 +38,7 @@ PLANTED = {
     ),
     "slopes clamped to the image": ("PROJECT", "0.15 * size / f", "0.0"),
     "rotation transposed in the covariance": ("PROJECT", "ROTATION(quaternion)", "zip(*ROTATION(quaternion))"),
-    "covariance without the camera's rotation": (
-        "PROJECT",
-        'PRODUCT(derivative, camera["rotation"])',
-        "derivative",
-    ),
+    "covariance without the camera's rotation": ("PROJECT", 'PRODUCT(derivative, camera["rotation"])', "derivative"),
     "derivative without slopes": ("PROJECT", "-fx * slope[0] / z", "0.0"),
     "one focal length": (
         "PROJECT",
@@ -139,9 +135,7 @@ CONNECTED: dict[str, dict[str, Any]] = {
     "by decreasing depth": {"key": lambda seen, _: -seen[2]},
     "not ordered": {"key": lambda seen, _: 0.0},
     "ties in reverse": {"key": lambda seen, _: (seen[2], next(TIES))},
-    "principal point in the middle": {
-        "change": lambda s, c: (s, replace(c, cx=c.width / 2, cy=c.height / 2)),
-    },
+    "principal point in the middle": {"change": lambda s, c: (s, replace(c, cx=c.width / 2, cy=c.height / 2))},
     "principal point off by half a pixel": {"change": lambda s, c: (s, replace(c, cx=c.cx + 0.5, cy=c.cy + 0.5))},
     "rotation transposed": {"change": lambda s, c: (s, replace(c, rotation=c.rotation.T))},
     "up is down": {"change": lambda s, c: (s, replace(c, rotation=c.rotation * [[1], [-1], [-1]]))},

@@ -23,17 +23,7 @@ from conformance.cases.flags import FLAGS
 from conformance.cases.numbers import Numbers
 from conformance.cases.suite import GeneratorError, archived, vectors
 from conformance.cases.table import Recipe, valid
-from conformance.manifest import (
-    ARCHIVE,
-    MANIFEST,
-    VECTORS,
-    GaussiansOf,
-    ImageOf,
-    ManifestError,
-    Rejected,
-    Vector,
-    load,
-)
+from conformance.manifest import ARCHIVE, MANIFEST, VECTORS, GaussiansOf, ImageOf, ManifestError, Rejected, Vector, load
 from conformance.runner.gaussians import difference
 from conformance.runner.grading import read_output
 from conformance.runner.images import image_difference

@@ -29,15 +29,7 @@ from refcodec.formats.common import BITS_LEAST, BITS_MOST, Options
 from refcodec.formats.glb import read_up
 from refcodec.formats.harmonics import REST, ZERO, rest_harmonics
 from refcodec.formats.splats import Splats, moved, rows_of
-from refcodec.formats.table import (
-    FORMATS,
-    model_splats,
-    read_located,
-    read_splats,
-    splats_up,
-    suffix_of,
-    write_splats,
-)
+from refcodec.formats.table import FORMATS, model_splats, read_located, read_splats, splats_up, suffix_of, write_splats
 
 FOREIGN = Path(__file__).with_name("foreign")
 AXES = [sign * np.eye(3)[axis] for sign in (1, -1) for axis in range(3)]

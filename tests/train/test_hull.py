@@ -13,7 +13,9 @@ from refcodec.train import start
 from refcodec.train.hull import carved
 from refcodec.train.settings import TrainSettings
 from refcodec.train.settings_file import varied
+from refcodec.train.stages.learning import Learning
 from refcodec.train.start import asked_for, choose_voxel, first_anchors
+from refcodec.train.trainer import Trainer
 
 Ball = Callable[[str, str], PhotographSet]
 RADIUS, BALL = 0.5, (200, 60, 20)
@@ -56,6 +58,11 @@ def test_first_anchors_of_random_points(write_ball: Ball) -> None:
         assert 0.5 * settings.start.least < len(anchors.lattice) < 1.5 * settings.start.least
         edges = np.diff(np.unique(anchors.lattice[:, 0]))
         assert (edges % settings.start.random_cells == 0).all()
+        # The anchors of a cube of points must find the scene, and learn faster.
+        (learning,) = Trainer(photographs, settings).of(Learning)
+        faster = {name: decay.start / getattr(settings.learning, name).start for name, decay in learning.decays.items()}
+        factor = 1.0 if mode == "RGBA" else settings.learning.cube
+        assert faster == {"features": factor, "offsets": factor, "scalings": factor, "masks": 1.0}
 
 
 @pytest.mark.parametrize(

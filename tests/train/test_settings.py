@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from refcodec.api.learning import TrainingWords
 from refcodec.cli.main import main
 from refcodec.train.schedule import Clock
 from refcodec.train.settings import PRESETS, FitSettings, Phase, TrainSettings
@@ -77,6 +78,7 @@ def test_what_is_printed_reads_back(preset: str, tmp_path: Path, capsys: pytest.
     assert to_toml(PRESETS[preset]) == printed
     assert all(name.rsplit(".", 1)[-1] in printed for name in documented(TrainSettings()))
     assert varied(TrainSettings(), document(PRESETS[preset])) == PRESETS[preset]
+    assert f" {preset}: {PRESETS[preset].steps:,} steps," in " ".join(str(TrainingWords.__doc__).split())
 
 
 def test_one_comes_after_the_other(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -8,14 +8,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
-from ...bitstream.context import (
-    LERP_BITS,
-    UNIT_BITS,
-    contract,
-    frame_coordinates,
-    positional_encoding,
-    rescale,
-)
+from ...bitstream.context import LERP_BITS, UNIT_BITS, contract, frame_coordinates, positional_encoding, rescale
 from ...bitstream.conventions import Int64
 from ...bitstream.frame import Frame
 from ...bitstream.networks import ACTIVATION_MAX

@@ -1,5 +1,6 @@
 """Learning: Adam's steps for the anchors' tables and the rendering networks."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -36,6 +37,9 @@ class Learning(Stage):
             for name in RENDERING
         ]
         self.optimiser = torch.optim.Adam(groups, eps=ADAM_EPSILON, fused=True)
+        self.decays = {name: getattr(self.settings, name) for name in TABLES}
+        for name in ("features", "offsets", "scalings") if run.scaffold.cube else ():
+            self.decays[name] = replace(self.decays[name], start=self.decays[name].start * self.settings.cube)
         self.anchors_changed()
 
     def anchors_changed(self) -> None:
@@ -48,7 +52,7 @@ class Learning(Stage):
             group["lr"] = learning_rate(group["decay"], self.run.clock.share)
         self.optimiser.step()
         self.optimiser.zero_grad(set_to_none=True)
-        rates = {name: learning_rate(getattr(self.settings, name), self.run.clock.share) for name in TABLES}
+        rates = {name: learning_rate(decay, self.run.clock.share) for name, decay in self.decays.items()}
         if has_kernel(self.scaffold.tables["features"]):
             self._descend_in_kernel(step, rates)
         else:
