@@ -83,7 +83,12 @@ class LearningSettings:
     planes: Decay = setting(Decay(0.0075, 0.001), "of the planes")
     coding: Decay = setting(Decay(0.005, 0.0005), "of F_h, SARM and CARM", f"{CAT}: 0.005 at first")
     exposure: Decay = setting(Decay(0.002, 2e-4), "of the photographs' exposures")
-    cube: float = setting(4.0, "factor of the first three rates at first if random points fill a cube", low=1, high=100)
+    cube: float = setting(
+        4.0,
+        "factor of the starts of features, offsets and scalings, where random points fill a cube",
+        low=1,
+        high=100,
+    )
     clip: float = setting(1.0, "largest norm of the coding networks' gradient, which is scaled down to it", low=0)
 
 
