@@ -70,12 +70,7 @@ def main() -> int:
         return 1
     write_model(photographs, args.target / "sparse" / "0", args.points)
     print(
-        len(photographs.train),
-        "for training,",
-        len(photographs.test),
-        "held out,",
-        photographs.skipped,
-        "without pose",
+        len(photographs.train), "for training,", len(photographs.test), "held out,", photographs.skipped, "without pose"
     )
     return 0
 

@@ -57,12 +57,7 @@ def code_planes(
 
 
 def parse_planes(
-    section: Piece,
-    d: Dimensions,
-    lanes: int,
-    sarm: IntNetwork,
-    trace: Trace | None,
-    native: NativeScene | None = None,
+    section: Piece, d: Dimensions, lanes: int, sarm: IntNetwork, trace: Trace | None, native: NativeScene | None = None
 ) -> NDArray[np.int16]:
     """SPEC 5.10, 6.9 and 7.3: returns the sub-planes of the section, int16 [5, ch, B, B].
 

@@ -360,9 +360,7 @@ class Opened:
         ranges = [chunk.entry.anchors for chunk in live]
         contexts = context(self.frame, self.joined, self.weights.plane_shift, h.dimensions.frequency_count, positions)
         part = PartDecoder(
-            [(c.attributes, f"attributes[chunk {c.entry.number}]") for c in live],
-            1 << h.lanes.attribute,
-            trace,
+            [(c.attributes, f"attributes[chunk {c.entry.number}]") for c in live], 1 << h.lanes.attribute, trace
         )
         a = code_attributes(part.decoder, self.model, contexts, masks, ranges)
         at = 0

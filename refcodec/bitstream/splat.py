@@ -52,12 +52,7 @@ def exponential(t: Int64) -> tuple[Int64, Int64]:
 
 # SPEC 9.4
 def splat(
-    networks: Rendering,
-    positions: F32,
-    features: F32,
-    scalings: F32,
-    offsets: F32,
-    masks: NDArray[np.bool_],
+    networks: Rendering, positions: F32, features: F32, scalings: F32, offsets: F32, masks: NDArray[np.bool_]
 ) -> F32:
     """SPEC 9.4, SPLAT: returns the Gaussians of some anchors, float32 [kept offsets, 11 + colour_outputs].
 

@@ -69,12 +69,7 @@ SYNTAX: dict[str, list[tuple[str, str]]] = {
         ("padding", "padding"),
     ],
     # SPEC 5.4
-    "PositionGrid": [
-        ("origin", "i64[3]"),
-        ("scale_mantissa", "u16"),
-        ("scale_exponent", "i8"),
-        ("reserved", "u8"),
-    ],
+    "PositionGrid": [("origin", "i64[3]"), ("scale_mantissa", "u16"), ("scale_exponent", "i8"), ("reserved", "u8")],
     # SPEC 5.5
     "RenderInfo": [
         ("background", "u8[3]"),
@@ -89,13 +84,7 @@ SYNTAX: dict[str, list[tuple[str, str]]] = {
         ("reserved", "u8"),
     ],
     # SPEC 5.6
-    "DirectoryEntry": [
-        ("type", "bytes[4]"),
-        ("mode", "u8"),
-        ("reserved", "u8[3]"),
-        ("length", "u64"),
-        ("crc", "u32"),
-    ],
+    "DirectoryEntry": [("type", "bytes[4]"), ("mode", "u8"), ("reserved", "u8[3]"), ("length", "u64"), ("crc", "u32")],
     # SPEC 5.7
     "Frame": [
         ("matrix", "i32[9]"),
@@ -122,20 +111,11 @@ SYNTAX: dict[str, list[tuple[str, str]]] = {
         ("reserved", "u8[2]"),
     ],
     # SPEC 5.10: the substreams follow
-    "PlaneTable": [
-        ("length", "u32[5]"),
-    ],
+    "PlaneTable": [("length", "u32[5]")],
     # SPEC 5.11
-    "MaskModel": [
-        ("frequency", "u16[K (K + 1) / 2]"),
-        ("padding", "padding"),
-    ],
+    "MaskModel": [("frequency", "u16[K (K + 1) / 2]"), ("padding", "padding")],
     # SPEC 5.12
-    "PositionModel": [
-        ("cell_shift", "u8"),
-        ("reserved", "u8[3]"),
-        ("frequency", "u16[288]"),
-    ],
+    "PositionModel": [("cell_shift", "u8"), ("reserved", "u8[3]"), ("frequency", "u16[288]")],
     # SPEC 5.13
     "ChunkEntry": [
         ("length", "u32"),
@@ -162,10 +142,7 @@ SYNTAX: dict[str, list[tuple[str, str]]] = {
         ("raw", "bytes to the substream's end"),
     ],
     # SPEC 5.16: the entries follow
-    "Metadata": [
-        ("count", "u16"),
-        ("reserved", "u16"),
-    ],
+    "Metadata": [("count", "u16"), ("reserved", "u16")],
     # SPEC 5.16.1
     "Entry": [
         ("key_length", "u16"),
@@ -175,10 +152,7 @@ SYNTAX: dict[str, list[tuple[str, str]]] = {
         ("padding", "padding"),
     ],
     # SPEC 5.17: the cameras follow
-    "Cameras": [
-        ("count", "u16"),
-        ("reserved", "u16"),
-    ],
+    "Cameras": [("count", "u16"), ("reserved", "u16")],
     # SPEC 5.17.1: a later minor version may add fields, which `length` counts
     "Camera": [
         ("length", "u32"),

@@ -35,17 +35,7 @@ from ..rendering.rasterise import Settings, draw, settings_of
 from ..train.fit import fit
 from ..train.fit_input import Given
 from ..train.settings import EntropySettings, FitSettings
-from .importance import (
-    BLOCK,
-    COLOUR,
-    LENGTHS,
-    LOGIT,
-    TURN,
-    importance,
-    numbers,
-    own_importance,
-    splats_of,
-)
+from .importance import BLOCK, COLOUR, LENGTHS, LOGIT, TURN, importance, numbers, own_importance, splats_of
 from .linear import FAR, hidden_units, network
 from .views import JUDGES, TEST, TRAIN
 

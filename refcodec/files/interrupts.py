@@ -11,9 +11,7 @@ SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP"
 
 
 @contextlib.contextmanager
-def on_interrupt(
-    handle: Callable[[int, FrameType | None], object] = signal.default_int_handler,
-) -> Iterator[None]:
+def on_interrupt(handle: Callable[[int, FrameType | None], object] = signal.default_int_handler) -> Iterator[None]:
     """Makes these signals call a function until the block ends, if the block runs in the main thread.
 
     An ignored SIGHUP stays ignored, as nohup requires. handle: the function. The default raises KeyboardInterrupt.

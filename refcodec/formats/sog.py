@@ -35,8 +35,7 @@ from .splats import F64, Splats, narrowed, rows_of
 META, _START = "meta.json", '{"version":2,"asset":{"generator":"refcodec'
 # The local header of a ZIP entry has 30 bytes.
 KIND = Kind(
-    "a SOG file that refcodec wrote",
-    re.compile(rb"PK\x03\x04.{26}" + re.escape((META + _START).encode()), re.DOTALL),
+    "a SOG file that refcodec wrote", re.compile(rb"PK\x03\x04.{26}" + re.escape((META + _START).encode()), re.DOTALL)
 )
 # Maximum bytes of an archive, of a compressed image, and of meta.json.
 FILE_MAX, IMAGE_MAX, META_MAX = 1 << 30, 1 << 28, 1 << 20

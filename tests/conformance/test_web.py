@@ -31,10 +31,7 @@ from refcodec.bitstream.scene import take_anchors
 # The ways in which a file can be given to `decode`.
 WAYS = ["bytes", "blob", "response", "iterable", "stream"]
 
-pytestmark = [
-    pytest.mark.no_cover,
-    pytest.mark.skipif(NODE is None, reason=MISSING),
-]
+pytestmark = [pytest.mark.no_cover, pytest.mark.skipif(NODE is None, reason=MISSING)]
 
 
 # ------------------------------------------------------------------------------------------------------- verdicts ---

@@ -65,8 +65,7 @@ WRONG_CAMERAS: list[tuple[str, Any]] = [
 
 
 @pytest.mark.parametrize(
-    "text",
-    ["", "[]", "null", "[" * 100_000, *(json.dumps({**CAMERA, name: wrong}) for name, wrong in WRONG_CAMERAS)],
+    "text", ["", "[]", "null", "[" * 100_000, *(json.dumps({**CAMERA, name: wrong}) for name, wrong in WRONG_CAMERAS)]
 )
 def test_cameras(text: str, tmp_path: Path, capsys: Captured) -> None:
     camera = read_camera(json.dumps(CAMERA))

@@ -370,8 +370,7 @@ def test_numbers_out_of_range(name: str, number: float, tmp_path: Path) -> None:
 
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize(
-    ("low", "high", "reason"),
-    [(np.nan, 1, "each of its Gaussians"), (-3e38, 3e38, ""), (3e38, 3e38, "beyond 1e+09")],
+    ("low", "high", "reason"), [(np.nan, 1, "each of its Gaussians"), (-3e38, 3e38, ""), (3e38, 3e38, "beyond 1e+09")]
 )
 def test_ranges_of_chunks(low: float, high: float, reason: str, tmp_path: Path) -> None:
     head, body = own(PACKED).split(b"end_header\n", 1)
