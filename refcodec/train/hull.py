@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..photographs.photographs import Photograph, PhotographSet
+from ..rendering.camera import Camera
 
 F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]
@@ -45,14 +46,19 @@ def carved(photographs: PhotographSet, wanted: int, seed: int) -> tuple[F64, U8]
     return (chosen, np.concatenate(colours)) if len(chosen) else (photographs.points, photographs.colours)
 
 
+def shown(camera: Camera, points: F64) -> tuple[NDArray[np.int64], F64, F64]:
+    """The points in a camera's view: rows int64 [n], pixels float64 [n, 2] and depths [n], in the world's unit."""
+    away = points @ camera.rotation.T + camera.translation
+    rows = np.flatnonzero(away[:, 2] > 0)
+    x, y, depth = away[rows].T
+    pixels = np.stack([x / depth * camera.fx + camera.cx, y / depth * camera.fy + camera.cy], axis=1)
+    inside = ((pixels >= 0) & (pixels < [camera.width, camera.height])).all(axis=1)
+    return rows[inside], pixels[inside], depth[inside]
+
+
 def _pixels(photograph: Photograph, points: F64) -> tuple[NDArray[np.int64], tuple[NDArray[np.int64], ...]]:
     """The points that a photograph shows in pixels that count, int64 [n], and these: rows and columns, int64 [n]."""
-    camera = photograph.camera
-    away = points @ camera.rotation.T + camera.translation
-    ahead = np.flatnonzero(away[:, 2] > 0)
-    x, y, depth = away[ahead].T
-    column, row = (np.floor(v) for v in (x / depth * camera.fx + camera.cx, y / depth * camera.fy + camera.cy))
-    inside = (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
-    ahead, at = ahead[inside], (row[inside].astype(np.int64), column[inside].astype(np.int64))
-    shown = slice(None) if photograph.mask is None else photograph.mask[at]
-    return ahead[shown], (at[0][shown], at[1][shown])
+    rows, pixels, _ = shown(photograph.camera, points)
+    column, row = pixels.astype(np.int64).T
+    counts = slice(None) if photograph.mask is None else photograph.mask[row, column]
+    return rows[counts], (row[counts], column[counts])

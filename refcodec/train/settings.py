@@ -84,10 +84,7 @@ class LearningSettings:
     coding: Decay = setting(Decay(0.005, 0.0005), "of F_h, SARM and CARM", f"{CAT}: 0.005 at first")
     exposure: Decay = setting(Decay(0.002, 2e-4), "of the photographs' exposures")
     cube: float = setting(
-        4.0,
-        "factor of the starts of features, offsets and scalings, where random points fill a cube",
-        low=1,
-        high=100,
+        4.0, "factor of the starts of features, offsets and scalings, where random points fill a cube", low=1, high=100
     )
     clip: float = setting(1.0, "largest norm of the coding networks' gradient, which is scaled down to it", low=0)
 
@@ -114,10 +111,7 @@ class StartSettings:
         low=1,
     )
     voxel: float = setting(
-        0.0,
-        "edge of the voxels of the first anchors; 0: chosen for the number of anchors",
-        unit="world units",
-        low=0,
+        0.0, "edge of the voxels of the first anchors; 0: chosen for the number of anchors", unit="world units", low=0
     )
     cells: int = setting(2, "edge of the voxels of the first anchors", unit="cells of the lattice", low=1, high=64)
     random_cells: int = setting(
@@ -129,6 +123,13 @@ class StartSettings:
     )
     drawn: int = setting(
         20000, "least number of random points to begin with where photographs are transparent", unit="points", low=1
+    )
+    behind: float = setting(
+        30.0,
+        "largest depth of anchors that begin behind given points, where opaque photographs show none; 1 adds none",
+        unit="depths of the points",
+        low=1,
+        high=1000,
     )
     near: float = setting(0.02, "nearest depth that is drawn", unit="training units", low=1e-6)
     neighbours: int = setting(3, "anchors around one whose distances give its size", GS, low=1, high=64)
@@ -526,8 +527,9 @@ PRESETS = {
     "paper": TrainSettings(
         steps=40000,
         size="1600",
-        start=StartSettings(least=0),
+        start=StartSettings(least=0, behind=1.0),
         growth=GrowthSettings(most=1 << 20),
         entropy=EntropySettings(),
+        learning=LearningSettings(cube=1.0),
     ),
 }

@@ -15,6 +15,7 @@ from ..bitstream.header import PositionGrid
 from ..encoder.positions import choose_grid
 from ..photographs.photographs import PhotographSet
 from ..rendering.camera import Camera
+from .behind import points_behind
 from .hull import carved
 from .settings import TrainSettings
 from .voxelise import default_voxel, short_mantissa
@@ -109,7 +110,7 @@ def first_anchors(photographs: PhotographSet, settings: TrainSettings) -> FirstA
     """Scaffold-GS: an anchor in each voxel that has points. Raises ValueError without points.
 
     An anchor's colour is that of the points around it, its size the distance of its neighbours. Random points are
-    drawn again within the visual hull (hull.carved).
+    drawn again within the visual hull (hull.carved). Given points get others behind them (behind.points_behind).
     """
     if not len(photographs.points):
         raise ValueError("there are no points to begin with")
@@ -121,6 +122,11 @@ def first_anchors(photographs: PhotographSet, settings: TrainSettings) -> FirstA
     length = scene_length(photographs)
     voxel = start.voxel or (choose_voxel(points, anchors) if anchors else default_voxel(points.astype(np.float32)))
     grid = choose_grid(points.astype(np.float32), short_mantissa(voxel / cells))
+    if photographs.opaque and not photographs.random and start.behind > 1:
+        given = anchors or len(points)
+        most = min(given, max(settings.growth.most - given, 0))
+        more = points_behind(photographs, start.behind, most, settings.seed)
+        points, seen = np.concatenate([points, more[0]]), np.concatenate([seen, more[1]])
     origin = np.array(grid.origin, np.float64) * 2.0 ** (grid.scale_exponent - 24)
     units = Units(grid, origin, length, grid.scale_mantissa * 2.0**grid.scale_exponent / length)
     away = (points - origin) / (units.cell * length)

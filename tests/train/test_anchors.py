@@ -23,7 +23,7 @@ from refcodec.train.visible import visible, visible_torch
 
 
 def beginning(photographs: PhotographSet, anchors: int) -> Scaffold:
-    settings = varied(TrainSettings(), {"start.anchors": anchors})
+    settings = varied(TrainSettings(), {"start.anchors": anchors, "start.behind": 1.0})
     return Scaffold(photographs, settings, torch.Generator().manual_seed(0))
 
 

@@ -117,7 +117,7 @@ def test_a_folder_where_a_file_belongs(place: Path, source: str, tmp_path: Path,
 
 def test_first_anchors(photographs: PhotographSet) -> None:
     few, many, coarse, fine = (
-        len(first_anchors(photographs, varied(TrainSettings(), changes)).lattice)
+        len(first_anchors(photographs, varied(TrainSettings(), {"start.behind": 1.0, **changes})).lattice)
         for changes in ({"start.anchors": 300}, {"start.anchors": 2000}, {"start.voxel": 3.0}, {"start.voxel": 1.5})
     )
     assert 200 < few < 400
