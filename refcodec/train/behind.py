@@ -28,6 +28,7 @@ def points_behind(photographs: PhotographSet, deepest: float, most: int, seed: i
     around the tile to that of `deepest` times its depth. most: M at most, by chance. Raises PhotographError.
     """
     random, points, colours = np.random.default_rng(seed), [np.zeros((0, 3))], [np.zeros((0, 3), np.uint8)]
+    poses = _poses([photograph.camera for photograph in photographs.train])
     for photograph in photographs.train:
         camera = photograph.camera
         size = np.array([camera.width, camera.height])
@@ -42,7 +43,7 @@ def points_behind(photographs: PhotographSet, deepest: float, most: int, seed: i
         around = depth[cKDTree(pixels).query(at, AROUND)[1]]
         places = _lifted(camera, at, np.median(around, axis=1))
         column, row = at.astype(int).T
-        counts = (_seen(photographs, places) >= CAMERAS) & (photograph.mask is None or photograph.mask[row, column])
+        counts = (_seen(poses, places) >= CAMERAS) & (photograph.mask is None or photograph.mask[row, column])
         disparity = random.uniform(1 / deepest, 1, len(at)) / around.max(axis=1)
         points.append(_lifted(camera, at, 1 / disparity)[counts])
         colours.append(photograph.image[row, column][counts])
@@ -51,14 +52,20 @@ def points_behind(photographs: PhotographSet, deepest: float, most: int, seed: i
     return found[chosen], seen[chosen]
 
 
-def _seen(photographs: PhotographSet, places: F64) -> NDArray[np.int64]:
+def _poses(cameras: list[Camera]) -> tuple[F64, F64, F64]:
+    """Rotations [c, 3, 3], translations [c, 1, 3], and focal lengths, principal points and sizes [3, c, 1, 2]."""
+    lenses = np.array([[(c.fx, c.fy), (c.cx, c.cy), (c.width, c.height)] for c in cameras])
+    turns, shifts = np.array([c.rotation.T for c in cameras]), np.array([c.translation for c in cameras])
+    return turns, shifts[:, None], lenses.swapaxes(0, 1)[:, :, None]
+
+
+def _seen(poses: tuple[F64, F64, F64], places: F64) -> NDArray[np.int64]:
     """The number of cameras that see each of some places [n, 3], int64 [n]. As `shown`, but for all cameras at once."""
-    cameras = [photograph.camera for photograph in photographs.train]
-    away = places @ np.array([c.rotation.T for c in cameras]) + np.array([c.translation for c in cameras])[:, None]
-    focal, centre, size = np.array([[(c.fx, c.fy), (c.cx, c.cy), (c.width, c.height)] for c in cameras]).swapaxes(0, 1)
-    depth = np.maximum(away[..., 2:], 1e-12)
-    pixels = away[..., :2] / depth * focal[:, None] + centre[:, None]
-    seen: NDArray[np.int64] = ((away[..., 2:] > 0) & (pixels >= 0) & (pixels < size[:, None])).all(axis=2).sum(axis=0)
+    turns, shifts, (focal, centre, size) = poses
+    away = places @ turns + shifts
+    depth = away[..., 2:]
+    pixels = away[..., :2] / np.maximum(depth, 1e-12) * focal + centre
+    seen: NDArray[np.int64] = ((depth > 0) & (pixels >= 0) & (pixels < size)).all(axis=2).sum(axis=0)
     return seen
 
 
