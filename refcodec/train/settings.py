@@ -161,6 +161,7 @@ class GrowthSettings:
         unit="pixels",
         low=1,
     )
+    each: int = setting(350, "largest number for each photograph; more overfit few photographs", unit="anchors", low=1)
     gradient: float = setting(
         2e-4,
         "mean gradient of a projected centre above which its offset grows on the coarsest lattice",
@@ -528,7 +529,7 @@ PRESETS = {
         steps=40000,
         size="1600",
         start=StartSettings(least=0, behind=1.0),
-        growth=GrowthSettings(most=1 << 20),
+        growth=GrowthSettings(most=1 << 20, each=1 << 20),
         entropy=EntropySettings(),
         learning=LearningSettings(cube=1.0),
     ),

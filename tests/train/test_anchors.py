@@ -27,11 +27,11 @@ def beginning(photographs: PhotographSet, anchors: int) -> Scaffold:
     return Scaffold(photographs, settings, torch.Generator().manual_seed(0))
 
 
-def growth(scaffold: Scaffold, most: int, pixels: int = 10**6, **changes: Any) -> Growth:
+def growth(scaffold: Scaffold, most: int, pixels: int = 10**6, views: int = 1000, **changes: Any) -> Growth:
     run, part = Run(), Growth()
     run.settings, run.scaffold, run.stages = varied(TrainSettings(), {"growth.most": most, **changes}), scaffold, []
     run.clock, run.random = Clock(run.settings.phases, run.settings.steps), torch.Generator().manual_seed(1)
-    run.photographs, run.device = cast(Any, SimpleNamespace(pixels=pixels)), scaffold.device
+    run.photographs, run.device = cast(Any, SimpleNamespace(pixels=pixels, train=[None] * views)), scaffold.device
     part.join(run)
     return part
 
@@ -127,16 +127,17 @@ def test_growth(photographs: PhotographSet) -> None:
 
 
 def test_growth_has_a_limit(photographs: PhotographSet) -> None:
-    """Of anchors, and by pixels: 40,000 for 18 small photographs took 419 kB, and showed no more than 1,650 in 43."""
+    """Of anchors, by pixels and by photographs: more would overfit 18 small ones, or 15 larger ones."""
     scaffold = beginning(photographs, 300)
-    count, least = scaffold.count, TrainSettings().growth.pixels
+    count, least, each = scaffold.count, TrainSettings().growth.pixels, TrainSettings().growth.each
     scaffold.tables["offsets"].uniform_(-30, 30, generator=torch.Generator().manual_seed(2))
-    for most, pixels, expected in (
-        (10 * count, least * (count + 9) + 1, count + 9),
-        (count + 17, 10**6, count + 17),
-        (count - 5, 10**6, count + 17),
+    for most, pixels, views, expected in (
+        (10 * count, least * (count + 9) + 1, 1000, count + 9),
+        (count + 17, 10**6, 1000, count + 17),
+        (count - 5, 10**6, 1000, count + 17),
+        (10**6, 10**9, count // each + 1, (count // each + 1) * each),
     ):
-        part = growth(scaffold, most, pixels)
+        part = growth(scaffold, most, pixels, views)
         part.gradient[:], part.drawn[:] = 1, 20
         part.grow()
         assert scaffold.count == expected

@@ -39,7 +39,8 @@ class Growth(Stage):
         """As Stage. most: the largest number of anchors that the photographs allow."""
         super().join(run)
         self.settings, self.scaffold = run.settings.growth, run.scaffold
-        self.most = min(self.settings.most, run.photographs.pixels // self.settings.pixels)
+        photographs, settings = run.photographs, self.settings
+        self.most = min(settings.most, photographs.pixels // settings.pixels, len(photographs.train) * settings.each)
         self.anchors_changed()
 
     def anchors_changed(self) -> None:
