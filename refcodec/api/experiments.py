@@ -38,7 +38,7 @@ def demo(
         output: folder for the results.
         scene: which photographs (default: caliterra).
         photographs: your own photographs, a COLMAP or NeRF folder.
-        steps: steps of each training (default: about four minutes).
+        steps: steps of each training (default: 5,000).
 
     Examples:
         demo
@@ -46,12 +46,12 @@ def demo(
         demo -o out --steps 600
         demo -o out --photographs my-photographs --background white --holdout 5
     """
-    from ..experiments.demo import STEPS, Demo, find_example, options_of, run_demo
+    from ..experiments.demo import Demo, find_example, options_of, run_demo
     from ..train.settings_file import chosen_settings
 
     only_one(scene=scene, photographs=photographs)
     _refuse_lambda(words, "the demo chooses its lambdas")
-    chosen = chosen_settings({**words, "steps": steps}, steps=STEPS)
+    chosen = chosen_settings({**words, "steps": steps})
     folder = find_example(scene or "caliterra") if photographs is None else Path(photographs)
     page, whole = run_demo(Demo(Path(output), folder, chosen, options_of(words)))
     return Report([f"The page: {page.resolve().as_uri()}"], {"page": page}, status=DONE if whole else INTERRUPTED)

@@ -36,8 +36,6 @@ EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "photographs"
 TITLES = {"caliterra": "A building site from the air", "snowmiku": "A plush doll"}
 # lambda_r: the paper's middle.
 LAMBDA = 0.004
-# Two parallel training runs on two cores take six to ten minutes.
-STEPS = 7000
 # Of further rates, which continue from the coded scene for this share of the steps.
 FURTHER, SHARE = (0.016, 0.001), 6
 

@@ -151,17 +151,15 @@ def varied(base: T, changes: Mapping[str, Any]) -> T:
     return merged(base, nested)
 
 
-def chosen_settings(
-    words: Mapping[str, Any], file: str | os.PathLike[str] | None = None, **others: Any
-) -> TrainSettings:
-    """The settings of a preset, changed by others, by a file, by `static` and `set`, and then by single words.
+def chosen_settings(words: Mapping[str, Any], file: str | os.PathLike[str] | None = None) -> TrainSettings:
+    """The settings of a preset, changed by a file, by `static` and `set`, and then by single words.
 
     words: those of `train`; None stands for one that is not given. Raises SettingsError, and OSError for the file.
     """
     anchors = words.get("anchors")
     if anchors and words.get("voxel"):
         raise SettingsError("--voxel is not allowed with --anchors")
-    base = varied(PRESETS[words.get("preset") or "fast"], others)
+    base = PRESETS[words.get("preset") or "fast"]
     base = base if file is None else from_toml(Path(file), base)
     base = assigned(varied(base, STATIC_CHANGES) if words.get("static") else base, words.get("set") or ())
     given = {name: words.get(name) for name in ("steps", "size", "seed", "background", "holdout", "degree")}
