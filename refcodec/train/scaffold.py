@@ -39,7 +39,7 @@ class Scaffold:
     exp(scalings[:3])), scalings (natural logarithms of world lengths) and masks (logits). first, second: their moments
     (adam.adam_torch). lattice: int64 [N, 3], cells from the grid's origin. position: float32 [N, 3], training units.
     stretch: float32 [N], how much longer an axis of an anchor's Gaussians is than its scaling at most, in natural
-    logarithms, as of the last `measure`; 0 in a view-dependent scene. cube: of FirstAnchors.
+    logarithms, as of the last `measure`; 0 in a view-dependent scene. within: of FirstAnchors.
 
     The lattice is an array. All other values are tensors on the device of the training run.
     """
@@ -56,7 +56,7 @@ class Scaffold:
     networks: RenderNetworks
     position: torch.Tensor
     stretch: torch.Tensor
-    cube: bool = False
+    within: str = "points"
 
     def __init__(
         self,
@@ -75,7 +75,7 @@ class Scaffold:
             self._go_on(beginning(given, photographs, settings), settings, generator)
             return
         start = first_anchors(photographs, settings)
-        self.units, self.lattice, self.near, self.cube = start.units, start.lattice, settings.start.near, start.cube
+        self.units, self.lattice, self.near, self.within = start.units, start.lattice, settings.start.near, start.within
         self.low_pass = settings.low_pass
         n = len(self.lattice)
         self.columns = Columns(settings.entropy.slices, OFFSETS)

@@ -169,6 +169,7 @@ class GrowthSettings:
         unit="loss / normalised device unit",
         low=0,
     )
+    hull: float = setting(0.5, "factor of that gradient where points fill a hull: renderings gain from anchors", low=0)
     ratio: float = setting(2.0, "factor of that gradient from one lattice to the next finer one", SCAFFOLD, low=1)
     chance: float = setting(
         0.5,
@@ -355,7 +356,7 @@ MODES: dict[str, tuple[str, ...]] = {
     "learning": ("on",),
     # on: each photograph has an affine colour of its own.
     "exposure": ("off", "on"),
-    # half: photographs are of half their width and height, if enough pixels are left.
+    # half: photographs are of half their width and height, if enough pixels are left, and if points fill no hull.
     "size": ("full", "half"),
     # on: training ends with the mean of its steps from here on, and no anchor is removed.
     "averaging": ("off", "on"),
@@ -529,7 +530,7 @@ PRESETS = {
         steps=40000,
         size="1600",
         start=StartSettings(least=0, behind=1.0),
-        growth=GrowthSettings(most=1 << 20, each=1 << 20),
+        growth=GrowthSettings(most=1 << 20, each=1 << 20, hull=1.0),
         entropy=EntropySettings(),
         learning=LearningSettings(cube=1.0),
     ),

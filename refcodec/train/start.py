@@ -49,7 +49,7 @@ class Units:
 
 @dataclass(frozen=True, eq=False)
 class FirstAnchors:
-    """The anchors of the beginning. cube: whether they fill a cube, and must find the scene.
+    """The anchors of the beginning. within: given "points", a "hull" (hull.py), or a "cube", and must find the scene.
 
     lattice: int64 [N, 3], cells. colours: [N, 3], from -1 to 1. sizes: [N], world.
     """
@@ -58,7 +58,7 @@ class FirstAnchors:
     lattice: I64
     colours: F64
     sizes: F64
-    cube: bool
+    within: str
 
 
 def scene_length(photographs: PhotographSet) -> float:
@@ -115,10 +115,10 @@ def first_anchors(photographs: PhotographSet, settings: TrainSettings) -> FirstA
     if not len(photographs.points):
         raise ValueError("there are no points to begin with")
     start, anchors = settings.start, asked_for(photographs, settings)
-    points, seen, cells, cube = photographs.points, photographs.colours, start.cells, False
+    points, seen, cells, within = photographs.points, photographs.colours, start.cells, "points"
     if photographs.random:
         points, seen = carved(photographs, max(start.drawn, POINTS_EACH * anchors), settings.seed)
-        cells, cube = start.random_cells, points is photographs.points
+        cells, within = start.random_cells, "cube" if points is photographs.points else "hull"
     length = scene_length(photographs)
     voxel = start.voxel or (choose_voxel(points, anchors) if anchors else default_voxel(points.astype(np.float32)))
     grid = choose_grid(points.astype(np.float32), short_mantissa(voxel / cells))
@@ -139,4 +139,4 @@ def first_anchors(photographs: PhotographSet, settings: TrainSettings) -> FirstA
     near = cKDTree(away).query(lattice, min(start.colours, len(points)))[1].reshape(n, -1)
     colours = seen[near].mean(axis=1) / 255 * 2 - 1
     sizes = np.maximum(spread, start.least_cells) * units.cell * length
-    return FirstAnchors(units, lattice, colours, sizes, cube)
+    return FirstAnchors(units, lattice, colours, sizes, within)

@@ -14,6 +14,7 @@ from refcodec.train.behind import CAMERAS, points_behind
 from refcodec.train.hull import carved
 from refcodec.train.settings import TrainSettings
 from refcodec.train.settings_file import varied
+from refcodec.train.stages.growth import Growth
 from refcodec.train.stages.learning import Learning
 from refcodec.train.start import asked_for, choose_voxel, first_anchors
 from refcodec.train.trainer import Trainer
@@ -59,8 +60,10 @@ def test_first_anchors_of_random_points(write_ball: Ball) -> None:
         assert 0.5 * settings.start.least < len(anchors.lattice) < 1.5 * settings.start.least
         edges = np.diff(np.unique(anchors.lattice[:, 0]))
         assert (edges % settings.start.random_cells == 0).all()
-        # The anchors of a cube of points must find the scene, and learn faster.
-        (learning,) = Trainer(photographs, settings).of(Learning)
+        # The anchors of a cube of points must find the scene, and learn faster. Those of a hull grow more easily.
+        trainer = Trainer(photographs, settings)
+        (learning,), (growth,) = trainer.of(Learning), trainer.of(Growth)
+        assert growth.least == settings.growth.gradient * (settings.growth.hull if mode == "RGBA" else 1.0)
         faster = {name: decay.start / getattr(settings.learning, name).start for name, decay in learning.decays.items()}
         factor = 1.0 if mode == "RGBA" else settings.learning.cube
         assert faster == {"features": factor, "offsets": factor, "scalings": factor, "masks": 1.0}

@@ -49,13 +49,15 @@ def test_what_a_training_says(trained: Trainer, coded: Scene, small: TrainSettin
     assert facts["history"][-1]["psnr"] > facts["history"][0]["psnr"] + 1
 
 
-@pytest.mark.parametrize(("least", "halves"), [(1, 3), (size.PIXELS, 0)])
+@pytest.mark.parametrize("case", [(1, "points", 3), (size.PIXELS, "points", 0), (1, "hull", 0)])
 def test_photographs_are_halved_at_first(
-    least: int, halves: int, photographs: PhotographSet, small: TrainSettings, monkeypatch: pytest.MonkeyPatch
+    case: tuple[int, str, int], photographs: PhotographSet, small: TrainSettings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Until the rate begins, but not to nothing. A halved photograph shows the same through the same camera."""
+    least, within, halves = case
     monkeypatch.setattr(size, "PIXELS", least)
     trainer, whole, widths = Trainer(photographs, varied(small, {"steps": 10})), photographs.train[0], list[int]()
+    trainer.scaffold.within = within
     step, photograph = trainer._looked_at(0)
     assert photograph.shape == (step.camera.height, step.camera.width, 3)
     assert float(photograph.mean()) == pytest.approx(whole.image.mean() / 255, rel=1e-3)

@@ -38,7 +38,7 @@ class Learning(Stage):
         ]
         self.optimiser = torch.optim.Adam(groups, eps=ADAM_EPSILON, fused=True)
         self.decays = {name: getattr(self.settings, name) for name in TABLES}
-        for name in ("features", "offsets", "scalings") if run.scaffold.cube else ():
+        for name in ("features", "offsets", "scalings") if run.scaffold.within == "cube" else ():
             self.decays[name] = replace(self.decays[name], start=self.decays[name].start * self.settings.cube)
         self.anchors_changed()
 

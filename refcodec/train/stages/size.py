@@ -17,8 +17,9 @@ class Size(Stage):
 
     def halves(self, camera: Camera, done: int | None = None) -> bool:
         """Whether a camera's photographs are halved after `done` steps, or now."""
-        mode = self.run.clock.mode(self.name, done)
-        return mode == "half" and (camera.width // 2) * (camera.height // 2) >= PIXELS
+        # Photographs with a visual hull are mostly renderings, which gain from fine pixels.
+        half = self.run.clock.mode(self.name, done) == "half" and self.run.scaffold.within != "hull"
+        return half and (camera.width // 2) * (camera.height // 2) >= PIXELS
 
     def viewed(self, camera: Camera, photograph: Tensor) -> tuple[Camera, Tensor]:
         """The camera and the photograph (views.pixels) of a step."""
