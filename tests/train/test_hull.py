@@ -63,7 +63,7 @@ def test_first_anchors_of_random_points(write_ball: Ball) -> None:
         # The anchors of a cube of points must find the scene, and learn faster. Those of a hull grow more easily.
         trainer = Trainer(photographs, settings)
         (learning,), (growth,) = trainer.of(Learning), trainer.of(Growth)
-        assert growth.least == settings.growth.gradient * (settings.growth.hull if mode == "RGBA" else 1.0)
+        assert growth.threshold == settings.growth.gradient * (settings.growth.hull if mode == "RGBA" else 1.0)
         faster = {name: decay.start / getattr(settings.learning, name).start for name, decay in learning.decays.items()}
         factor = 1.0 if mode == "RGBA" else settings.learning.cube
         assert faster == {"features": factor, "offsets": factor, "scalings": factor, "masks": 1.0}

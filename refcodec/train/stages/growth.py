@@ -30,19 +30,19 @@ class Growth(Stage):
 
     name = "growth"
     most: int
-    least: float
+    threshold: float
     gradient: Tensor
     drawn: Tensor
     opacity: Tensor
     seen: Tensor
 
     def join(self, run: Run) -> None:
-        """As Stage. most: the largest number of anchors that the photographs allow. least: the gradient that grows."""
+        """As Stage. most: of the anchors that the photographs allow. threshold: GrowthSettings.gradient, times hull."""
         super().join(run)
         self.settings, self.scaffold = run.settings.growth, run.scaffold
         photographs, settings = run.photographs, self.settings
         self.most = min(settings.most, photographs.pixels // settings.pixels, len(photographs.train) * settings.each)
-        self.least = settings.gradient * (settings.hull if self.scaffold.within == "hull" else 1.0)
+        self.threshold = settings.gradient * (settings.hull if self.scaffold.within == "hull" else 1.0)
         self.anchors_changed()
 
     def anchors_changed(self) -> None:
@@ -114,7 +114,7 @@ class Growth(Stage):
         added, owners, edges = [scaffold.lattice], [np.zeros(0, np.int64)], [np.zeros(0)]
         for level, edge in enumerate(settings.edges):
             lucky = torch.rand(len(gradient), generator=self.run.random).numpy() > settings.chance ** (level + 1)
-            asks = gradient > self.least * settings.ratio**level
+            asks = gradient > self.threshold * settings.ratio**level
             grows = asks & lucky & (np.abs(centre).max(axis=1) < LATTICE_MAX)
             if not grows.any():
                 continue

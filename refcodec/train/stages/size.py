@@ -17,7 +17,7 @@ class Size(Stage):
 
     def halves(self, camera: Camera, done: int | None = None) -> bool:
         """Whether a camera's photographs are halved after `done` steps, or now."""
-        # Photographs with a visual hull are mostly renderings, which gain from fine pixels.
+        # Photographs with a hull are mostly renderings. One scene gained from full size (RESULTS.md, closed studies).
         half = self.run.clock.mode(self.name, done) == "half" and self.run.scaffold.within != "hull"
         return half and (camera.width // 2) * (camera.height // 2) >= PIXELS
 
