@@ -32,6 +32,7 @@ from refcodec.rendering.gaussians import static_splats
 from refcodec.rendering.rasterise import Settings, draw
 from refcodec.statuses import DONE, UsageError
 
+from .peers.__main__ import bytes_at
 from .peers.convert import VERSION, as_read, convert, tool
 from .resident import usage
 from .results import Arguments, machine, mib, table
@@ -176,7 +177,7 @@ def section(options: Namespace) -> list[str]:
     folder.mkdir(parents=True, exist_ok=True)
     rows = list[list[str]]()
     for source in sources:
-        curve = list[tuple[float, int]]()
+        curve = list[tuple[float, float]]()
         rows.append([source.name, f"{len(source.splats.mean):,} Gaussians", f"{source.file.stat().st_size:,}"])
         rows[-1] += [""] * (len(HEAD) - 3)
         for wanted in options.fast:
@@ -185,20 +186,12 @@ def section(options: Namespace) -> list[str]:
             took = made([*words, "--psnr", f"{wanted:g}"], output)
             size, splats = output.stat().st_size, static_splats(parse(output.read_bytes()).scene)
             reached, figures = source.row(f"--fast --psnr {wanted:g}", size, splats)
-            curve.append((reached, size))
+            curve.append((size, reached))
             rows.append([*figures, "", "", f"{took['processor']:.0f}", mib(took["peak"])])
         for by, (size, splats) in others(source, folder.absolute()).items():
             reached, figures = source.row(by, size, splats)
-            own = equal_bytes(sorted(curve), reached)
+            own = bytes_at(sorted(curve), reached)
             rows.append([*figures, *([f"{own:,.0f}", f"{size / own:.2f}"] if own else ["", ""]), "", ""])
     files = " ".join(source.file.name for source in sources)
     command = f"`python -m benchmarks converted FOLDER {files} --up={options.up}`"
     return [command, "", machine("torch"), *NOTE, "", *table(HEAD, rows)]
-
-
-def equal_bytes(curve: Sequence[tuple[float, int]], reached: float) -> float | None:
-    """Returns the bytes of a curve at a PSNR, None beyond its ends. curve: ascending PSNR, dB, and bytes."""
-    values, sizes = np.array(curve).T
-    if not values[0] <= reached <= values[-1]:
-        return None
-    return float(np.exp(np.interp(reached, values, np.log(sizes))))

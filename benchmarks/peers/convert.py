@@ -6,6 +6,7 @@ a widely used program writes them. INSTALL installs it. Nothing here downloads.
 
 import shutil
 import subprocess
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,7 +26,15 @@ FORMATS = ("spz", "sog")
 
 
 class ToolError(UsageError):
-    """splat-transform is missing or failed. The message has the remedy, or the output of the program."""
+    """A program is missing or failed. The message has the remedy, or the output of the program."""
+
+
+def ran(command: Sequence[str | Path], folder: Path | None = None, made: Path | None = None) -> str:
+    """Returns the output of a program. made: a file that it must make. Raises ToolError."""
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    if done.returncode or (made and not made.is_file()):
+        raise ToolError(f"{' '.join(map(str, command))} failed: {(done.stderr or done.stdout).strip()[-500:]}")
+    return done.stdout
 
 
 def tool() -> Path | None:
@@ -40,10 +49,7 @@ def convert(source: Path, target: Path) -> None:
     program = tool()
     if program is None:
         raise ToolError(f"splat-transform is missing: run `{INSTALL}` in the repository's folder")
-    command = [str(program), "-q", "-w", "-g", "cpu", "--max-workers", "0", str(source), str(target)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    if done.returncode or not target.is_file():
-        raise ToolError(f"{' '.join(command)} failed: {(done.stderr or done.stdout).strip()[-500:]}")
+    ran([program, "-q", "-w", "-g", "cpu", "--max-workers", "0", source, target], made=target)
 
 
 def there_and_back(ply: Path, suffix: str) -> tuple[Path, Path]:

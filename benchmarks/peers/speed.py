@@ -9,10 +9,9 @@ C3GS decodes a large scene (benchmarks.large), and the same as a static scene, w
 many Gaussians: copies of the export of the trained scene.
 """
 
-import subprocess
 import tempfile
 from argparse import Namespace
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -29,11 +28,11 @@ from refcodec.formats.splats import Splats, rows_of
 from refcodec.formats.table import FORMATS, read_splats, write_splats
 from refcodec.rendering.rasterise import draw, settings_of
 from refcodec.rendering.view import View, stated_cameras
-from refcodec.statuses import UsageError
 
 from ..decoders import decoding, in_turn
 from ..large import PAPER_ANCHORS, TRAINED, large
 from ..results import Arguments, machine, table
+from .convert import ToolError, ran
 
 OPTIONS: Arguments = {
     "source": {"type": Path, "help": "the source of SPZ"},
@@ -45,10 +44,6 @@ DEGREE = 3
 DRIVER = Path(__file__).parent / "decoders" / "spz.cc"
 LIBRARY = ["-std=c++17", "-Isrc/cc", "src/cc/load-spz.cc", "src/cc/splat-types.cc", "-lzstd", "-lz", "-pthread"]
 OWN, OWN_STATIC, SPZ = "C3GS", "C3GS, static", "SPZ 4, Niantic's library"
-
-
-class LibraryError(UsageError):
-    """A library cannot be compiled or run. The message has the output of the program."""
 
 
 def exported(trained: bytes) -> tuple[Splats, Callable[[Splats], float]]:
@@ -84,16 +79,8 @@ def repeated(splats: Splats, count: int) -> Splats:
     return replace(more, mean=(more.mean + places).astype(np.float32))
 
 
-def ran(command: Sequence[str | Path], folder: Path | None = None) -> str:
-    """Returns the output of a program. Raises LibraryError."""
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
-    if done.returncode:
-        raise LibraryError(f"{' '.join(map(str, command))} failed: {(done.stderr or done.stdout).strip()[-500:]}")
-    return done.stdout
-
-
 def section(options: Namespace) -> list[str]:
-    """Measures, in rounds in which each decoder runs once. Returns the lines of the section. Raises LibraryError."""
+    """Measures, in rounds in which each decoder runs once. Returns the lines of the section. Raises ToolError."""
     anchors, rounds = options.anchors, options.rounds
     facts, files = machine(), {OWN: large(anchors), OWN_STATIC: large(anchors, static=True)}
     count = int(parse(files[OWN].read_bytes()).scene.masks.sum())
@@ -118,7 +105,7 @@ def section(options: Namespace) -> list[str]:
             runs[-1][SPZ] = {"processor": float(seconds), "count": int(number)}
     best = {title: min((run[title] for run in runs), key=lambda each: each["processor"]) for title in sizes}
     if {run["count"] for run in best.values()} != {count}:
-        raise LibraryError(f"the decoders found {best}, but there are {count} Gaussians")
+        raise ToolError(f"the decoders found {best}, but there are {count} Gaussians")
     rows = []
     for title, run in best.items():
         seconds, size = run["processor"], sizes[title]

@@ -35,7 +35,7 @@ from ..encoder.sizes import choose_plane_size, choose_slices, choose_width
 from .fit_input import Given
 from .optimisers import moments, restore_moments
 from .rate_model.columns import Columns
-from .rate_model.hyperprior import VectorMatrix
+from .rate_model.hyperprior import contexts
 from .rate_model.model import SARM_WIDTH, RateModel
 from .rate_model.units import PLANE_SHIFT, STEP_ONE
 from .rendering_networks import RENDER_WIDTH
@@ -264,13 +264,12 @@ class _Fitting:
         self.kept = torch.from_numpy(scene.masks[rows].astype(np.float32))
         self.count = len(self.kept)
         self.symbol_count = (d.features + a.scalings.shape[1]) * self.total + 3 * float(scene.masks.sum())
-        hyperprior = VectorMatrix(d.plane_channels, d.frequency_count)
         start = torch.Generator().manual_seed(settings.seed)
-        self.contexts = hyperprior.contexts(scene.frame, scene.positions[rows], d.plane_size)
+        self.contexts = contexts(scene.frame, scene.positions[rows], d.plane_size, d.frequency_count)
         sizes = d.plane_size, min(choose_width(self.total), settings.entropy.width)
         columns = Columns(d.slices, d.offset_count)
         statistics = _statistics(scene.masks[rows], self.symbols.numpy())
-        self.model = RateModel(hyperprior, *sizes, *statistics, start, settings.entropy, scene.carm_shift, columns)
+        self.model = RateModel(*sizes, *statistics, start, settings.entropy, scene.carm_shift, columns)
         groups = [{"params": [self.model.latents]}, {"params": self.model.coding_parameters()}]
         self.optimiser = torch.optim.Adam(groups)
         rates = [settings.plane_learning_rate, settings.network_learning_rate]

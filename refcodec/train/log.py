@@ -6,7 +6,7 @@ import re
 import stat
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from ..files.outputs import Kind, check_file
 from ..files.present import NotAFileError, is_there
@@ -20,13 +20,6 @@ TABLE = Kind("the log of a training", re.compile(rb"step,seconds,psnr,"))
 _EVENTS = "events.out.tfevents."
 
 Row = Mapping[str, Any]
-
-
-class Log(Protocol):
-    """The destination of the rows of a training run."""
-
-    def write(self, rows: Sequence[Row]) -> None:
-        """Takes all present rows. Raises OSError."""
 
 
 class Table:
@@ -64,6 +57,9 @@ class Board:
             self._writer.add_text(PHASE, row[PHASE], row["step"])
         self._written = len(rows)
         self._writer.flush()
+
+
+Log = Table | Board
 
 
 def check_log(path: Path) -> Path:

@@ -60,10 +60,6 @@ class Clock:
         begin = next((phase.begin for phase in self.phases if part in phase.modes), 0.0)
         return max((self.share - begin) / (1 - begin), 0.0)
 
-    def begin(self, name: str) -> float:
-        """The share of the steps at which the phase of a name begins."""
-        return next(phase.begin for phase in self.phases if phase.name == name)
-
     def phase(self, done: int) -> str:
         """The name of the last phase that has begun after `done` steps, empty before the first."""
         return next((phase.name for phase in reversed(self.phases) if phase.begin <= self.share_at(done)), "")

@@ -1,22 +1,6 @@
 """The interface of a stage of the method, and the training run that all stages share.
 
-A stage of your own is an object that `train` takes, as gsplat takes a strategy:
-
-    class Opaque(Stage):
-        \"\"\"Makes visible Gaussians more opaque in the last part of a training run.\"\"\"
-
-        name = "opaque"
-
-        def __init__(self, weight: float, begin: float = 0.5) -> None:
-            self.weight, self.begin = weight, begin
-
-        def loss(self, step: Step) -> Tensor | None:
-            if self.run.clock.share < self.begin or step.opacity is None:
-                return None
-            return -self.weight * step.opacity.clamp_min(0).mean()
-
-    train(photographs, settings, output, stages=[Opaque(0.01)])
-
+A stage of your own is an object that `train` takes, as gsplat takes a strategy; docs/method.md has an example.
 It is called after the stages of the method. A stage of the method itself is a module of `stages` with an entry in
 settings.MODES, which names it.
 """

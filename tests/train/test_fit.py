@@ -36,9 +36,9 @@ from refcodec.photographs.photographs import PhotographSet  # noqa: E402
 from refcodec.rendering.view import View  # noqa: E402
 from refcodec.train import fit, voxelise  # noqa: E402
 from refcodec.train.fit_input import Given, read_given  # noqa: E402
-from refcodec.train.rate_model.bits import gauss_bits, laplace_bits  # noqa: E402
+from refcodec.train.rate_model.bits import TorchBits  # noqa: E402
 from refcodec.train.rate_model.folded import FoldedMlp  # noqa: E402
-from refcodec.train.rate_model.hyperprior import VectorMatrix  # noqa: E402
+from refcodec.train.rate_model.hyperprior import contexts  # noqa: E402
 from refcodec.train.rate_model.model import RateModel  # noqa: E402
 from refcodec.train.settings import EntropySettings, FitSettings, TrainSettings  # noqa: E402
 from refcodec.train.settings_file import varied  # noqa: E402
@@ -238,16 +238,19 @@ def test_bits_and_their_gradient_are_those_of_the_distributions():
     rng = np.random.default_rng(0)
     mean, scale = rng.normal(0, 40, 200), rng.uniform(-30, 40, 200)
     symbol = np.round(mean / 16 + rng.normal(0, 1, 200) * 2 ** (scale / 8))
-    for family, function in (("gauss", gauss_bits), ("laplace", laplace_bits)):
+    for family in ("gauss", "laplace"):
+        how = family == "gauss", 2.0**-20
         exact = bin_bits(family, mean / 16, scale / 8, symbol)
-        ours = function(torch.tensor(mean), torch.tensor(scale), torch.tensor(symbol)).numpy()
+        ours = TorchBits.apply(*map(torch.tensor, (mean, scale, symbol)), *how).numpy()
         likely = exact < 8
         assert likely.sum() > 100
         assert np.abs(ours - exact)[likely].max() < 0.02
         assert (ours <= 20.01).all()
         inputs = [torch.tensor(a[likely], requires_grad=True) for a in (mean, scale)]
         given = torch.tensor(symbol[likely])
-        assert torch.autograd.gradcheck(lambda m, s, f=function, x=given: f(m, s, x), inputs, eps=1e-5, atol=1e-4)
+        assert torch.autograd.gradcheck(
+            lambda m, s, x=given, how=how: TorchBits.apply(m, s, x, *how), inputs, eps=1e-5, atol=1e-4
+        )
 
 
 def test_bin_bits_are_those_of_the_frequency_models():
@@ -286,9 +289,9 @@ def test_the_scene_can_be_written_and_read(result):
 
 def test_contexts_in_training_are_those_of_the_codec(result):
     scene = result.scene
-    contexts = VectorMatrix().contexts(scene.frame, scene.positions, scene.dimensions.plane_size)
-    rows = torch.arange(scene.anchor_count)
-    inputs = contexts.inputs(torch.tensor(scene.planes.astype(np.float32)), rows, True).numpy()
+    d, rows = scene.dimensions, torch.arange(scene.anchor_count)
+    made = contexts(scene.frame, scene.positions, d.plane_size, d.frequency_count)
+    inputs = made.inputs(torch.tensor(scene.planes.astype(np.float32)), rows, True).numpy()
     wanted = codec.Coding(scene).contexts()
     assert np.array_equal(inputs, wanted)
 

@@ -9,9 +9,8 @@ from torch import Tensor
 
 from refcodec.bitstream.tables import SCALE_MIN
 from refcodec.train.cpu.residues import Symbols, WithResidues
-from refcodec.train.rate_model.bits import TorchBits, gauss_bits, laplace_bits
 from refcodec.train.rate_model.folded import FoldedMlp
-from refcodec.train.rate_model.hyperprior import PlaneSamples, VectorMatrix, plane_neighbours
+from refcodec.train.rate_model.hyperprior import Contexts, PlaneSamples, plane_neighbours
 from refcodec.train.rate_model.model import OFFSETS, PAPER, RateModel
 from refcodec.train.settings import EntropySettings
 
@@ -37,7 +36,7 @@ def test_the_planes_query(rounding: bool) -> None:
     # Some contexts are past 1023, and have no gradient.
     symbols = (60 * torch.randn(5, 4, 9, 9, generator=draw)).requires_grad_()
     rows, more = torch.randint(0, 300, (200,), generator=draw), torch.randn(300, 3, generator=draw)
-    ours = samples.query(symbols, rows, rounding, more)
+    ours = Contexts(samples, more).inputs(symbols, rows, rounding)
     wanted = torch.cat([samples.query_torch(symbols, rows, rounding), more[rows]], dim=1)
     assert 0 < float((wanted.abs() == 1023).float().mean()) < 0.5
     weights = torch.randn(200, 11, generator=draw)
@@ -98,54 +97,32 @@ def test_a_folded_network(rounding: bool, gridded: bool) -> None:
     agree(gradients(ours, weights, inputs), gradients(wanted, weights, inputs))
 
 
-def distributions(count: int, draw: torch.Generator) -> list[Tensor]:
-    """Means, scales and symbols: likely and unlikely ones, past both ends of the scales, and some at their mean."""
-    mean = 60 * torch.randn(count, generator=draw)
-    scale = torch.empty(count).uniform_(-40, 60, generator=draw)
-    symbol = mean / 16 + torch.randn(count, generator=draw) * torch.exp2(scale / 8)
-    symbol[::7] = mean[::7] / 16
-    return [v.requires_grad_() for v in (mean, scale, symbol)]
-
-
-@pytest.mark.parametrize("gauss", [False, True], ids=["laplace", "gauss"])
-@pytest.mark.parametrize("count", [1, 4003])
-def test_bits(gauss: bool, count: int) -> None:
-    draw = torch.Generator().manual_seed(5)
-    inputs = distributions(count, draw)
-    ours = (gauss_bits if gauss else laplace_bits)(*inputs)
-    exact = [v.detach().double().requires_grad_() for v in inputs]
-    wanted = TorchBits.apply(*exact, gauss, 2.0**-20)
-    weights = torch.rand(count, generator=draw) - 0.2
-    agree([ours], [wanted])
-    agree(gradients(ours, weights, inputs), gradients(wanted, weights, exact), 1e-4)
-
-
 @ROUNDED
 def test_bits_of_attributes(rounding: bool) -> None:
     """Of F_h's last layer, CARM and the likelihoods: against the same model in float64, which has torch's formulas."""
     draw = torch.Generator().manual_seed(6)
     # Some symbols are past the bounds of CARM's inputs.
     spread = np.full(PAPER.width, 400.0)
-    model = RateModel(VectorMatrix(), 9, 12, np.zeros(PAPER.width), spread, draw, EntropySettings())
+    model = RateModel(9, 12, np.zeros(PAPER.width), spread, draw, EntropySettings())
     with torch.no_grad():
         for parameter in model.coding_parameters():
             parameter.add_(0.05 * torch.randn(parameter.shape, generator=draw))
         # Some scales are past the smallest one, where likely symbols would have them smaller still.
         model.hyper.weights[1][PAPER.width - 10 : PAPER.width] = 0
         model.hyper.biases[1][2 * PAPER.width - 10 : 2 * PAPER.width] -= 13.65
-    symbols, inputs = 450 * torch.randn(60, PAPER.width, generator=draw), 300 * torch.randn(60, 36, generator=draw)
+    symbols, inputs = 450 * torch.randn(61, PAPER.width, generator=draw), 300 * torch.randn(61, 36, generator=draw)
     symbols[:, -10:] /= 1000
     model.calibrate(inputs, symbols[:, : PAPER.carm_inputs], model.symbols(None).detach())
     model.set_grid(2)
     model.set_integers(rounding)
     model.set_gridded(rounding)
     assert (symbols[:, : PAPER.carm_inputs].abs() > 1023).any()
-    kept = (torch.rand(60, OFFSETS, generator=draw) < 0.3).float()
+    kept = (torch.rand(61, OFFSETS, generator=draw) < 0.3).float()
     kept[:5] = 0
     hidden = model.activations(inputs).detach()
     small = model.hyper.outputs(hidden, slice(2 * PAPER.width - 10, 2 * PAPER.width)) <= SCALE_MIN
     assert 0.1 < float(small.float().mean()) < 0.9
-    weights, both = torch.rand(60, 3, generator=draw), []
+    weights, both = torch.rand(61, 3, generator=draw), []
     for kind, network in ((torch.float32, model), (torch.float64, copy.deepcopy(model).double())):
         leaves = [v.to(kind).requires_grad_() for v in (hidden, symbols, kept)]
         bits = network.attribute_bits(*leaves)
@@ -160,7 +137,7 @@ def test_bits_of_attributes(rounding: bool) -> None:
 def test_bits_of_planes(rounding: bool, size: int) -> None:
     """Of SARM and the likelihoods: against the same model in float64, which has torch's formulas."""
     draw = torch.Generator().manual_seed(7)
-    model = RateModel(VectorMatrix(), size, 8, np.zeros(PAPER.width), np.ones(PAPER.width), draw, EntropySettings())
+    model = RateModel(size, 8, np.zeros(PAPER.width), np.ones(PAPER.width), draw, EntropySettings())
     with torch.no_grad():
         # Scales past the smallest one, and on both sides of it.
         model.sarm.biases[-1][1] -= 5

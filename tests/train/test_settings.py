@@ -176,4 +176,3 @@ def test_phases_say_what_parts_do() -> None:
     assert modes[6] == ("off", "on", "off", 0.5)
     assert modes[8] == ("off", "on", "off", 1.0)
     assert clock.mode("masks", 5) == "on"
-    assert clock.begin("b") == 0.5

@@ -16,6 +16,7 @@ from torch import Tensor
 from refcodec.bitstream.codec import emit, parse
 from refcodec.bitstream.scene import Scene
 from refcodec.evaluate.evaluation import evaluate
+from refcodec.folder.layout import REPORT_FILE
 from refcodec.photographs.photographs import Photograph, PhotographSet
 from refcodec.train.command import report, train
 from refcodec.train.messages import line, opening
@@ -66,34 +67,16 @@ def test_photographs_are_halved_at_first(
     assert widths == [whole.camera.width // 2] * halves + [whole.camera.width] * (10 - halves)
 
 
-DIGEST = """
-import hashlib, sys
-from pathlib import Path
-from refcodec.bitstream.codec import emit
-from refcodec.photographs.photographs import read_photographs
-from refcodec.train.command import train
-from refcodec.train.settings import TrainSettings
-from refcodec.train.settings_file import varied
-settings = varied(TrainSettings(), {"steps": 60, "start.anchors": 800, "growth.most": 900})
-photographs = read_photographs(sys.argv[1], (100, 75))
-threads = int(sys.argv[3])
-done = train(photographs, settings, Path(sys.argv[2]), threads=threads, device="cpu", resume=False, progress=False)
-print(hashlib.sha256(emit(done.trainer.result())).hexdigest())
-"""
-
-
 @pytest.mark.slow
 def test_same_file_whatever_the_number_of_threads(examples: Path, tmp_path: Path) -> None:
-    def run(threads: int) -> str:
-        environment = {
-            **os.environ,
-            "NUMBA_NUM_THREADS": str(threads),
-            "OMP_NUM_THREADS": str(threads),
-            "OMP_WAIT_POLICY": "PASSIVE",
-        }
-        words = [str(examples / "caliterra"), str(tmp_path / str(threads)), str(threads)]
-        command = [sys.executable, "-c", DIGEST, *words]
-        return subprocess.run(command, env=environment, check=True, capture_output=True, text=True).stdout
+    def run(threads: int) -> dict[str, bytes]:
+        environment = os.environ | dict.fromkeys(("NUMBA_NUM_THREADS", "OMP_NUM_THREADS"), str(threads))
+        output, few = tmp_path / str(threads), ["--set", "start.anchors=800", "--set", "growth.most=900"]
+        words = [str(examples / "caliterra"), "-o", str(output), "--threads", str(threads), "--size", "100x75", *few]
+        subprocess.run(
+            [sys.executable, "-m", "refcodec", "train", *words, "--steps", "60"], env=environment, check=True
+        )
+        return {path.name: path.read_bytes() for path in output.iterdir() if path.name != REPORT_FILE}
 
     assert run(1) == run(2)
 

@@ -136,7 +136,7 @@ class AttributeBits(torch.autograd.Function):
         # Without a second slice there is no CARM.
         change, masks = torch.cat([out.new_zeros(len(out), 0), *changes], dim=1), array(kept)
         mean, scale = _gather(array(out), array(change), counting.columns, symbols.shape[1])
-        bits, by_mean, by_scale = likelihood(mean, scale, array(symbols), True, counting.floor)
+        bits, by_mean, by_scale = likelihood(mean, scale, array(symbols), counting.floor)
         sums, parts = _sums(bits, masks, counting.features)
         ctx.given = parts, masks, counting.features, scale, by_mean, by_scale, counting.columns, change.shape[1]
         ctx.counting, ctx.inputs = counting, (symbols.detach(), earlier)

@@ -81,26 +81,26 @@ def one_likelihood(mean: Any, scale: Any, symbol: Any, gauss: bool, floor: np.fl
 
 
 @compiled(parallel=True)
-def _likelihood(mean: F32, scale: F32, symbol: F32, gauss: bool, floor: np.float32, to: F32) -> None:
+def _likelihood(mean: F32, scale: F32, symbol: F32, floor: np.float32, to: F32) -> None:
     """Writes one_likelihood of arrays of a multiple of eight values to [3, n]."""
     p_to, mean_to, scale_to = to[0], to[1], to[2]
     for block in prange((mean.shape[0] + _BLOCK - 1) // _BLOCK):
         for at in range(block * _BLOCK, min(block * _BLOCK + _BLOCK, mean.shape[0]), WIDTH):
-            p, by_mean, by_scale = one_likelihood(load(mean, at), load(scale, at), load(symbol, at), gauss, floor)
+            p, by_mean, by_scale = one_likelihood(load(mean, at), load(scale, at), load(symbol, at), True, floor)
             store(p_to, at, p)
             store(mean_to, at, by_mean)
             store(scale_to, at, by_scale)
 
 
-def likelihood(mean: F32, scale: F32, symbol: F32, gauss: bool, floor: float) -> tuple[F32, F32, F32]:
-    """Bits of symbols, and their derivatives by means and scales, all shaped like the contiguous inputs."""
+def likelihood(mean: F32, scale: F32, symbol: F32, floor: float) -> tuple[F32, F32, F32]:
+    """Bits of attributes, and their derivatives by means and scales, all shaped like the contiguous inputs."""
     size = mean.size
     room = -(-size // WIDTH) * WIDTH
     inputs = [v.reshape(-1) for v in (mean, scale, symbol)]
     if room > size:
         inputs = [np.concatenate([v, np.zeros(room - size, np.float32)]) for v in inputs]
     results = np.empty((3, room), np.float32)
-    _likelihood(*inputs, gauss, np.float32(floor), results)
+    _likelihood(*inputs, np.float32(floor), results)
     torch.from_numpy(results[0]).log2_().neg_()
     bits, by_mean, by_scale = (v[:size].reshape(mean.shape) for v in results)
     return bits, by_mean, by_scale
@@ -109,22 +109,3 @@ def likelihood(mean: F32, scale: F32, symbol: F32, gauss: bool, floor: float) ->
 def array(value: Tensor) -> F32:
     contiguous: F32 = value.detach().contiguous().numpy()
     return contiguous
-
-
-class Bits(torch.autograd.Function):
-    """Bits.apply(mean, scale, symbol, gauss, floor): bits.gauss_bits, or laplace_bits."""
-
-    @staticmethod
-    def forward(ctx: Any, mean: Tensor, scale: Tensor, symbol: Tensor, gauss: bool, floor: float) -> Tensor:
-        results = likelihood(array(mean), array(scale), array(symbol), gauss, floor)
-        bits, by_mean, by_scale = (torch.from_numpy(v) for v in results)
-        ctx.save_for_backward(scale)
-        ctx.by = by_mean, by_scale
-        return bits
-
-    @staticmethod
-    def backward(ctx: Any, *upstream: Tensor) -> tuple[Tensor | None, ...]:
-        (scale,), (by_mean, by_scale) = ctx.saved_tensors, ctx.by
-        along, wider = upstream[0] * by_mean, upstream[0] * by_scale
-        wider.masked_fill_((scale <= SCALE_MIN) & (wider > 0), 0)
-        return along, wider, -MEAN_UNIT * along if ctx.needs_input_grad[2] else None, None, None

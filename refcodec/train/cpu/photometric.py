@@ -3,13 +3,12 @@
 SSIM takes one pass each way over eight values at a time. Its bits do not depend on the number of threads.
 """
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import torch
 from numba import prange
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from torch import Tensor
 
 from ...rendering.compiled import compiled
@@ -24,19 +23,6 @@ F64 = NDArray[np.float64]
 C1, C2 = np.float32(_C1), np.float32(_C2)
 # Rows that a thread takes at once.
 BAND = 8
-
-
-@dataclass(frozen=True, eq=False)
-class Similarity:
-    """value: the mean SSIM. The rest is for similarity_backward.
-
-    buffers: f32[5, H + 10, row], rows of W * C values between zeros: both images x and y, and the derivatives of the
-    sum of SSIM with respect to the window's means of x, x^2 and xy.
-    """
-
-    value: float
-    shape: tuple[int, int, int]
-    buffers: F32
 
 
 @compiled(inline="always")
@@ -142,30 +128,6 @@ def _backward(buffers: F32, window: F32, height: int, channels: int, factor: np.
     return gradient
 
 
-def similarity(x: ArrayLike, y: ArrayLike) -> Similarity:
-    """Mean SSIM of two images f32[H,W,C] with values in [0, 1].
-
-    Raises ValueError for shapes that differ, or without a pixel.
-    """
-    first, second = np.asarray(x, np.float32), np.asarray(y, np.float32)
-    if first.shape != second.shape or first.ndim != 3 or first.size == 0:
-        raise ValueError(f"the images have the shapes {first.shape} and {second.shape}, but must have the same [H,W,C]")
-    height, width, channels = first.shape
-    values = width * channels
-    buffers = np.zeros((5, height + 2 * RADIUS, -(-values // WIDTH) * WIDTH), np.float32)
-    buffers[:2, RADIUS:-RADIUS, :values] = np.stack([first, second]).reshape(2, height, values)
-    sums = _forward(buffers, WINDOW, height, values, channels)
-    return Similarity(float(sums.sum() / first.size), (height, width, channels), buffers)
-
-
-def similarity_backward(s: Similarity, gradient: float = 1.0) -> F32:
-    """`gradient` times the gradient of the mean SSIM with respect to the first image, f32[H,W,C]."""
-    height, width, channels = s.shape
-    factor = np.float32(gradient / (height * width * channels))
-    d_x = _backward(s.buffers, WINDOW, height, channels, factor)
-    return np.ascontiguousarray(d_x[:, : width * channels]).reshape(s.shape)
-
-
 class Photometric(torch.autograd.Function):
     """Photometric.apply(image, photograph, ssim) -> loss, a scalar: (1 - ssim) L1 + ssim (1 - SSIM).
 
@@ -174,14 +136,24 @@ class Photometric(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, image: Tensor, photograph: Tensor, ssim: float) -> Tensor:
-        ctx.similarity, ctx.ssim = similarity(image.detach().numpy(), photograph.numpy()), ssim
+        assert image.shape == photograph.shape
+        height, width, channels = image.shape
+        values = width * channels
+        # Rows of values between zeros: both images x and y, and the derivatives of the sum of SSIM with respect to the
+        # window's means of x, x^2 and xy.
+        buffers = np.zeros((5, height + 2 * RADIUS, -(-values // WIDTH) * WIDTH), np.float32)
+        buffers[:2, RADIUS:-RADIUS, :values] = torch.stack([image, photograph]).reshape(2, height, values).numpy()
+        similar = float(_forward(buffers, WINDOW, height, values, channels).sum() / image.numel())
         away = image - photograph
         ctx.save_for_backward(away)
-        return (1 - ssim) * away.abs().mean() + ssim * (1 - ctx.similarity.value)
+        ctx.buffers, ctx.ssim = buffers, ssim
+        return (1 - ssim) * away.abs().mean() + ssim * (1 - similar)
 
     @staticmethod
     def backward(ctx: Any, *upstream: Tensor) -> tuple[Tensor, None, None]:
         (away,) = ctx.saved_tensors
+        height, width, channels = away.shape
         gradient = torch.sign(away).mul_((1 - ctx.ssim) / away.numel())
-        gradient -= torch.from_numpy(similarity_backward(ctx.similarity, ctx.ssim))
+        similar = _backward(ctx.buffers, WINDOW, height, channels, np.float32(ctx.ssim / away.numel()))
+        gradient -= torch.from_numpy(similar)[:, : width * channels].reshape(away.shape)
         return gradient * upstream[0], None, None

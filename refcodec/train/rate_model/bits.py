@@ -7,16 +7,14 @@ import torch
 from torch import Tensor
 
 from ...bitstream.tables import SCALE_MIN
-from ..cpu.likelihood import Bits
-from ..device import has_kernel
-from ..settings import EntropySettings
 from .units import MEAN_UNIT, SCALE_MOST, SCALE_UNIT
 
 
 class TorchBits(torch.autograd.Function):
-    """TorchBits.apply(mean, scale, symbol, gauss, floor): gauss_bits or laplace_bits on the device of the tensors.
+    """TorchBits.apply(mean, scale, symbol, gauss, floor): -log2 of a probability, to which `floor` is added.
 
-    They are -log2 of a symbol's probability, to which `floor` is added.
+    mean, in 1/16 symbol, scale index, in 1/8 octave, and symbol have one shape, which is that of the result. gauss:
+    for attributes (SPEC 7.7), not planes (SPEC 7.3). floor: see EntropySettings.
     """
 
     @staticmethod
@@ -57,22 +55,3 @@ def _laplace_tail(t: Tensor) -> Tensor:
     """The share of a unit Laplace distribution above t."""
     tail = torch.exp(-t.abs()) / 2
     return torch.where(t >= 0, tail, 1 - tail)
-
-
-def gauss_bits(mean: Tensor, scale: Tensor, symbol: Tensor, floor: float = EntropySettings.floor) -> Tensor:
-    """Bits of each symbol of an attribute (SPEC 7.7).
-
-    mean, in 1/16 symbol, scale index, in 1/8 octave, and symbol have one shape, which is that of the result. floor: see
-    EntropySettings.
-    """
-    return _bits(mean, scale, symbol, True, floor)
-
-
-def laplace_bits(mean: Tensor, scale: Tensor, symbol: Tensor, floor: float = EntropySettings.floor) -> Tensor:
-    """Bits of each plane symbol (SPEC 7.3), as gauss_bits; the gradient reaches the symbol too."""
-    return _bits(mean, scale, symbol, False, floor)
-
-
-def _bits(mean: Tensor, *rest: Any) -> Tensor:
-    bits: Tensor = (Bits if has_kernel(mean) else TorchBits).apply(mean, *rest)
-    return bits

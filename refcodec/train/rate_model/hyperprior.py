@@ -12,11 +12,9 @@ from ...bitstream.context import LERP_BITS, UNIT_BITS, contract, frame_coordinat
 from ...bitstream.conventions import Int64
 from ...bitstream.frame import Frame
 from ...bitstream.networks import ACTIVATION_MAX
-from ...bitstream.planes import PLANES
 from ...bitstream.positions import position_integers
 from ..cpu.query import Query
 from ..device import has_kernel
-from ..settings import EntropySettings
 from .units import GAMMA_UNIT, LATENT_UNIT, PLANE_SHIFT, round_through
 
 
@@ -45,18 +43,8 @@ class PlaneSamples:
         self.corners = torch.as_tensor(np.stack(corners))
         self.shares = torch.as_tensor(np.stack(shares).astype(np.float32))
 
-    def query(self, symbols: Tensor, rows: Tensor, rounding: bool, more: Tensor) -> Tensor:
-        """Context of the anchors `rows` [b] from plane symbols [5, ch, B, B]: float32 [b, 2 ch], in [-1023, 1023].
-
-        more: float32 [n, G], of which the anchors' rows follow: the result is [b, 2 ch + G].
-        """
-        if has_kernel(symbols):
-            inputs: Tensor = Query.apply(symbols, rows, self.corners, self.shares, more, rounding)
-            return inputs
-        return torch.cat([self.query_torch(symbols, rows, rounding), more[rows]], dim=1)
-
     def query_torch(self, symbols: Tensor, rows: Tensor, rounding: bool) -> Tensor:
-        """Context [b, 2 ch], with torch on the device of the tensors."""
+        """Contexts of the anchors `rows` from plane symbols [5, ch, B, B]: float32 [b, 2 ch], in [-1023, 1023]."""
         channels = symbols.shape[1]
         top, bottom = (torch.cat([symbols[i], symbols[i + 1]], dim=2) for i in (1, 3))
         parts = []
@@ -83,40 +71,28 @@ class Contexts:
         """
         if self.samples is None:
             return self.gamma[rows]
-        return self.samples.query(symbols, rows, rounding, self.gamma)
+        if has_kernel(symbols):
+            inputs: Tensor = Query.apply(symbols, rows, self.samples.corners, self.samples.shares, self.gamma, rounding)
+            return inputs
+        return torch.cat([self.samples.query_torch(symbols, rows, rounding), self.gamma[rows]], dim=1)
 
 
-@dataclass(frozen=True)
-class VectorMatrix:
-    """SPEC 7.5: planes over the first two principal axes at two scales, and gamma, the vector of the third axis.
+def input_units(channels: int, frequencies: int) -> Tensor:
+    """The integer that stands for one in each input of F_h: float32 [2 channels + 2 frequencies], powers of two."""
+    planes = torch.full((2 * channels,), LATENT_UNIT * 2**PLANE_SHIFT)
+    return torch.cat([planes, torch.full((2 * frequencies,), GAMMA_UNIT)])
 
-    channels: ch, 0 for no planes. frequencies: L, 0 for no gamma. With neither of them F_h has no inputs, and
-    gives every anchor the same distributions.
+
+def contexts(frame: Frame | None, positions: NDArray[np.float16], plane_size: int, frequencies: int) -> Contexts:
+    """SPEC 7.5.1 to 7.5.3: the contexts of anchors at the given cells of the lattice, fp16 [N, 3].
+
+    frame: None if F_h has no inputs (SPEC 6.6). plane_size: B, 0 without planes.
     """
-
-    channels: int = EntropySettings.channels
-    frequencies: int = EntropySettings.frequencies
-
-    def input_units(self) -> Tensor:
-        """Returns the integer that stands for one in each input of F_h: float32 [inputs], powers of two."""
-        planes = torch.full((2 * self.channels,), LATENT_UNIT * 2**PLANE_SHIFT)
-        return torch.cat([planes, torch.full((2 * self.frequencies,), GAMMA_UNIT)])
-
-    def latent_shape(self, plane_size: int) -> tuple[int, int, int, int]:
-        """Returns the shape of the planes' symbols, [5, ch, B, B], with B = plane_size."""
-        return (PLANES, self.channels, plane_size, plane_size) if self.channels else (PLANES, 0, 0, 0)
-
-    def contexts(self, frame: Frame | None, positions: NDArray[np.float16], plane_size: int) -> Contexts:
-        """Returns the contexts of anchors at the given cells of the lattice, fp16 [N, 3].
-
-        frame: None if F_h has no inputs (SPEC 6.6).
-        """
-        if frame is None:
-            return Contexts(None, torch.zeros(len(positions), 0))
-        # SPEC 7.5.1 to 7.5.3
-        u = rescale(frame, contract(frame_coordinates(frame, position_integers(positions))))
-        gamma = torch.as_tensor(positional_encoding(u[:, 2], self.frequencies).astype(np.float32))
-        return Contexts(PlaneSamples(u[:, :2], plane_size) if plane_size else None, gamma)
+    if frame is None:
+        return Contexts(None, torch.zeros(len(positions), 0))
+    u = rescale(frame, contract(frame_coordinates(frame, position_integers(positions))))
+    gamma = torch.as_tensor(positional_encoding(u[:, 2], frequencies).astype(np.float32))
+    return Contexts(PlaneSamples(u[:, :2], plane_size) if plane_size else None, gamma)
 
 
 def plane_neighbours(symbols: Tensor) -> Tensor:

@@ -12,16 +12,17 @@ from torch.nn import functional
 
 from ...bitstream.attributes import KINDS, SCALINGS
 from ...bitstream.networks import ACTIVATION_MAX, Layer
+from ...bitstream.planes import PLANES
 from ...bitstream.tables import STEP_LENGTH
 from ...encoder.sizes import SLICES
 from ..cpu.attributes import AttributeBits, Counting
 from ..cpu.plane_bits import PlaneBits
 from ..device import has_kernel
 from ..settings import EntropySettings
-from .bits import TorchBits, laplace_bits
+from .bits import TorchBits
 from .columns import Columns
 from .folded import FoldedMlp
-from .hyperprior import VectorMatrix, plane_neighbours
+from .hyperprior import input_units, plane_neighbours
 from .units import LATENT_UNIT, MEAN_UNIT, SCALE_UNIT, STEP_ONE, round_through
 
 # The number of offsets of an anchor, and the widths of SARM's hidden layers, both as in the paper.
@@ -58,7 +59,6 @@ class RateModel(nn.Module):
 
     def __init__(
         self,
-        hyperprior: VectorMatrix,
         plane_size: int,
         width: int,
         mean: NDArray[np.float64],
@@ -85,7 +85,7 @@ class RateModel(nn.Module):
         def network(widths: list[int], inputs: Tensor, outputs: Tensor, gain: float = settings.gain) -> FoldedMlp:
             return FoldedMlp(widths, inputs, outputs, generator, gain, settings.bias)
 
-        inputs = hyperprior.input_units()
+        inputs = input_units(settings.channels, settings.frequencies)
         outputs = torch.cat([unit * MEAN_UNIT, torch.full((total + len(KINDS),), SCALE_UNIT)])
         # SPEC 11.1: F_h without inputs is a row of constants.
         hidden = [width] * settings.layers
@@ -94,7 +94,7 @@ class RateModel(nn.Module):
             start = np.concatenate([mean / unit.numpy(), octave, np.full(len(KINDS), STEP_ONE / SCALE_UNIT)])
             self.hyper.biases[-1].copy_(torch.tensor(start, dtype=torch.float32))
             self.hyper.weights[-1][2 * total :] = 0
-        shape = hyperprior.latent_shape(plane_size)
+        shape = PLANES, settings.channels, plane_size, plane_size
         self.sarm: FoldedMlp | None = None
         if math.prod(shape):
             outputs = torch.tensor([LATENT_UNIT * MEAN_UNIT, SCALE_UNIT])
@@ -139,7 +139,8 @@ class RateModel(nn.Module):
             bits: Tensor = PlaneBits.apply(plans, symbols, self.floor, *self.sarm.pairs())
             return bits
         out = self.sarm(plane_neighbours(symbols))
-        return laplace_bits(out[:, 0], out[:, 1], symbols.reshape(-1), self.floor).sum()
+        bits = TorchBits.apply(out[:, 0], out[:, 1], symbols.reshape(-1), False, self.floor)
+        return bits.sum()
 
     def activations(self, inputs: Tensor) -> Tensor:
         """The last hidden activations of F_h, [n, .], for its inputs."""

@@ -1,8 +1,4 @@
-"""Masks of offsets (CAT-3DGS Pro): an offset is kept if its weighted share is above epsilon (docs/method.md).
-
-The share is the logistic function of its logit. The weight is the number of views that see its anchor, over the mean of
-all.
-"""
+"""Masks of offsets (CAT-3DGS Pro), as settings.MaskSettings describes them."""
 
 from typing import Any
 

@@ -3,7 +3,6 @@
 It starts once, when its phase begins: then the frame, the size of the planes and the widths of the networks are fixed.
 """
 
-import math
 from typing import Any
 
 import numpy as np
@@ -16,7 +15,7 @@ from ...encoder.frame import choose_frame
 from ...encoder.sizes import choose_plane_size, choose_width
 from ..adam import ADAM_EPSILON
 from ..optimisers import learning_rate, moments, restore_moments
-from ..rate_model.hyperprior import Contexts, VectorMatrix
+from ..rate_model.hyperprior import Contexts, contexts
 from ..rate_model.model import RateModel
 from ..stage import Run, Sight, Stage, Step
 from ..start import lattice_positions
@@ -52,7 +51,6 @@ class Rate(Stage):
     model: RateModel | None
     masks: Masks
     quantisation: Quantisation
-    hyperprior: VectorMatrix
     frame: Frame | None
     base_step: Tensor
     optimiser: torch.optim.Adam
@@ -62,7 +60,6 @@ class Rate(Stage):
         super().join(run)
         self.settings, self.scaffold, self.model = run.settings, run.scaffold, None
         self.masks, self.quantisation = next(run.of(Masks)), next(run.of(Quantisation))
-        self.hyperprior = VectorMatrix(run.settings.entropy.channels, run.settings.entropy.frequencies)
 
     # --- milestones ---------------------------------------------------------------------------------------------------
 
@@ -79,17 +76,13 @@ class Rate(Stage):
         self.masks.anchors_changed()
         count = self.scaffold.count
         frame = choose_frame(lattice_positions(self.scaffold.lattice)) if self._has_inputs else None
-        plane_size = choose_plane_size(count) if self._has_planes else 0
+        plane_size = choose_plane_size(count) if self.settings.entropy.channels else 0
         self._make(frame, self.quantisation.base_steps(), plane_size, choose_width(count))
 
     @property
     def _has_inputs(self) -> bool:
         """Whether F_h has inputs from an anchor's position."""
-        return len(self.hyperprior.input_units()) > 0
-
-    @property
-    def _has_planes(self) -> bool:
-        return math.prod(self.hyperprior.latent_shape(1)) > 0
+        return self.settings.entropy.channels + self.settings.entropy.frequencies > 0
 
     def _make(self, frame: Frame | None, base_step: Tensor, plane_size: int, width: int) -> RateModel:
         """An entropy model for the anchors as they are. plane_size: B. width: of the hidden layers of F_h and CARM."""
@@ -99,9 +92,7 @@ class Rate(Stage):
         spread = symbols.std(dim=0) if len(symbols) > 1 else torch.ones_like(symbols[0])
         mean, deviation = symbols.mean(dim=0).cpu().numpy(), spread.cpu().numpy()
         entropy = self.settings.entropy
-        model = RateModel(
-            self.hyperprior, plane_size, width, mean, deviation, self.run.random, entropy, columns=scaffold.columns
-        )
+        model = RateModel(plane_size, width, mean, deviation, self.run.random, entropy, columns=scaffold.columns)
         model.to(self.run.device)
         self.model, self.frame, self.base_step = model, frame, base_step
         self._place()
@@ -120,7 +111,7 @@ class Rate(Stage):
     def _place(self) -> None:
         cells, plane_size = lattice_positions(self.scaffold.lattice), self.started().latents.shape[-1]
         with self.run.device:
-            self.contexts = self.hyperprior.contexts(self.frame, cells, plane_size)
+            self.contexts = contexts(self.frame, cells, plane_size, self.settings.entropy.frequencies)
 
     def round_activations(self) -> None:
         """Switches to the decoder's activations, with units from all anchors."""
@@ -246,9 +237,9 @@ class Rate(Stage):
         frame = self._restored_frame(state) if self._has_inputs else None
         base_step = state.tensor("base_step", (len(KINDS),), low=BASE_STEP_MIN).to(self.run.device)
         # The plane size and the width follow from the number of anchors when the rate began, which may have changed.
-        latents = state.tensor("model.latents", (None,) * len(self.hyperprior.latent_shape(1)))
+        latents = state.tensor("model.latents", (None,) * 4)
         plane_size, width = latents.shape[-1], choose_width(0)
-        sizes = [("model.latents", plane_size, choose_plane_size)] if self._has_planes else []
+        sizes = [("model.latents", plane_size, choose_plane_size)] if self.settings.entropy.channels else []
         # A network with a hidden layer of that width, if there is one.
         wide = "hyper" if self._has_inputs else "carm.0" if len(self.settings.entropy.slices) > 1 else None
         if self.settings.entropy.layers and wide:
@@ -258,7 +249,7 @@ class Rate(Stage):
         for name, size, choose in sizes:
             if not choose(0) <= size <= choose(ANCHORS_MAX):
                 raise state.fault(name, f"must have a size of {choose(0)} to {choose(ANCHORS_MAX)}, but has {size}")
-        model = self._make(frame, base_step, plane_size if self._has_planes else 0, width)
+        model = self._make(frame, base_step, plane_size if self.settings.entropy.channels else 0, width)
         state.module("model.", model)
         model.set_integers(state.value("integers", bool))
         restore_moments(self.optimiser, state)
