@@ -9,7 +9,7 @@ from ..bitstream.planes import PLANES
 # SPEC B.3: the chunk size with the best measured result, and the base-2 logarithm of the most lanes.
 CHUNK_SIZE = 4096
 LANES_LOG2_MOST = 6
-# SPEC B.3: the slices of the features, in order, as in the paper.
+# SPEC B.3: the slices of the features, in order, as in the code of CAT-3DGS.
 SLICES = (5, 10, 15, 20)
 
 

@@ -81,7 +81,7 @@ class LearningSettings:
     covariance: Decay = setting(Decay(0.004, 0.002), "of the covariance network", f"{OWN}; {SCAFFOLD}: 0.004")
     colour: Decay = setting(Decay(0.008, 5e-4), "of the colour network", f"{OWN}; {SCAFFOLD}: 0.008 to 5e-5")
     planes: Decay = setting(Decay(0.0075, 0.001), "of the planes")
-    coding: Decay = setting(Decay(0.005, 0.0005), "of F_h, SARM and CARM", f"{CAT}: 0.005 at first")
+    coding: Decay = setting(Decay(0.005, 0.0005), "of F_h, SARM and CARM", f"{OWN}; {CAT}: 0.008, of SARM 0.005")
     exposure: Decay = setting(Decay(0.002, 2e-4), "of the photographs' exposures")
     cube: float = setting(
         4.0, "factor of the starts of features, offsets and scalings, where random points fill a cube", low=1, high=100
@@ -283,7 +283,7 @@ class EntropySettings:
         (5, 10, 15, 20),
         "features of each slice, 16 slices at most: a training's anchors have as many features as these add up to; "
         "a fit takes the features that there are, in slices of these proportions",
-        PRO,
+        CAT,
         low=1,
         high=64,
     )
