@@ -29,7 +29,7 @@ def demo(
 ) -> Report:
     """Train on example photographs, encode the scene, and write a page of the results.
 
-    The page is DIR/index.html. It takes about nine minutes on two cores. Ctrl-C ends the training early and
+    The page is DIR/index.html. It takes eight to twelve minutes on two cores. Ctrl-C ends the training early and
     shows the result so far. The same command continues, and repeats nothing. Options of train apply to both
     training runs.
     Needs: pip install 'refcodec[demo]'.

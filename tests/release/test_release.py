@@ -149,7 +149,7 @@ def test_the_citation_is_current() -> None:
 
 @pytest.mark.skipif(shutil.which("file") is None, reason="file(1) is not here")
 def test_file_knows_the_format() -> None:
-    """spec/c3gs.magic, which `python -m spec --check` compares with the schemas."""
+    """spec/c3gs.magic, which tests/spec/test_descriptions.py compares with the tables."""
     command = ["file", "--brief", "-m", ROOT / "spec" / "c3gs.magic", ROOT / "vectors" / "tiny-example.c3gs"]
     printed = subprocess.run([*command, ROOT / "SPEC.md"], capture_output=True, text=True, check=True).stdout
     words, other = printed.splitlines()
