@@ -32,10 +32,9 @@ from refcodec.rendering.gaussians import static_splats
 from refcodec.rendering.rasterise import Settings, draw
 from refcodec.statuses import DONE, UsageError
 
-from .peers.__main__ import bytes_at
 from .peers.convert import VERSION, as_read, convert, tool
 from .resident import usage
-from .results import Arguments, machine, mib, table
+from .results import Arguments, bytes_at, machine, mib, table
 
 OPTIONS: Arguments = {
     "folder": {"type": Path},

@@ -1,9 +1,11 @@
 """The sections of RESULTS.md that benchmarks write, and their common parts."""
 
+import math
 import os
 import platform
 from collections.abc import Iterable, Sequence
 from importlib import metadata
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -73,3 +75,18 @@ def kb(value: float) -> str:
 def mib(value: float) -> str:
     """Returns bytes as MiB (2^20 bytes)."""
     return f"{value / (1 << 20):.1f}"
+
+
+def bytes_at(points: Sequence[tuple[float, float]], psnr: float) -> float | None:
+    """Returns the bytes of a method at a PSNR in dB, by linear interpolation of their logarithm.
+
+    points: bytes and PSNR, by rising bytes. Returns None outside of them, and the smallest size if the curve meets the
+    PSNR more than once.
+    """
+    for (size, low), (more, high) in pairwise(points):
+        if min(low, high) <= psnr <= max(low, high):
+            if low == high:
+                return size
+            share = (psnr - low) / (high - low)
+            return math.exp((1 - share) * math.log(size) + share * math.log(more))
+    return next((size for size, own in points if own == psnr), None)

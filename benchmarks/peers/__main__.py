@@ -9,12 +9,10 @@ finished training is not repeated. splat-transform writes SPZ and SOG; `run` pri
 """
 
 import argparse
-import math
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from functools import partial
-from itertools import pairwise
 from pathlib import Path
 from statistics import fmean
 from typing import Any
@@ -39,7 +37,7 @@ from refcodec.formats.table import read_splats, write_splats
 from refcodec.photographs.photographs import PhotographSet, parse_size, read_photographs
 from refcodec.statuses import DONE, INTERRUPTED, USAGE
 
-from ..results import ROOT, kb, machine, publish
+from ..results import ROOT, bytes_at, kb, machine, publish
 from .convert import FORMATS, INSTALL, VERSION, ToolError, there_and_back, tool
 from .trainer import SplatSettings, SplatTrainer, view_settings
 
@@ -148,21 +146,6 @@ def rows(folder: Path) -> Iterator[Row]:
             label, settings = LABELS.get(method, f"C3GS, {method}"), result.definition["settings"]
             made = row(scene, label, float(strength.partition("-")[2]), int(seed.partition("-")[2]), result)
             yield made | {"size": settings["size"]}
-
-
-def bytes_at(points: Sequence[tuple[float, float]], psnr: float) -> float | None:
-    """Returns the bytes of a method at a PSNR in dB, by linear interpolation of their logarithm.
-
-    points: bytes and PSNR, by rising bytes. Returns None outside of them, and the smallest size if the curve meets the
-    PSNR more than once.
-    """
-    for (size, low), (more, high) in pairwise(points):
-        if min(low, high) <= psnr <= max(low, high):
-            if low == high:
-                return size
-            share = (psnr - low) / (high - low)
-            return math.exp((1 - share) * math.log(size) + share * math.log(more))
-    return next((size for size, own in points if own == psnr), None)
 
 
 def report(results: Sequence[Row]) -> list[str]:

@@ -713,7 +713,9 @@ def test_points_of_a_ply_file(nerf):
 def test_own_split(tmp_path):
     """transforms_train.json alone is a list of images as any other: every eighth one is held out."""
     write_nerf(tmp_path, "transforms_train.json", "./train/")
-    assert [p.camera.name for p in read_photographs(tmp_path).test] == ["train/r_0", "train/r_8"]
+    half = read_photographs(tmp_path)
+    assert [p.camera.name for p in half.test] == [f"train/r_{i}" for i in range(0, COUNT, 8)]
+    assert len(half.train) + len(half.test) == COUNT
     write_nerf(tmp_path, "transforms_test.json", "./test/", count=3, seed=1)
     photographs = read_photographs(tmp_path)
     assert [p.camera.name for p in photographs.train] == [f"train/r_{i}" for i in range(COUNT)]

@@ -499,3 +499,9 @@ def test_ssim_of_equals() -> None:
     """Bright and flat is the worst case of the variances' rounding."""
     for image, most in ((torch.rand(20, 30, 3), 1e-6), (torch.ones(20, 30, 3), 1e-3)):
         assert abs(float(Photometric.apply(image, image, 1.0))) < most
+
+
+@pytest.mark.parametrize("shapes", [((4, 4, 3), (4, 5, 3)), ((4, 4), (4, 4)), ((0, 4, 3), (0, 4, 3))])
+def test_ssim_errors(shapes: tuple[tuple[int, ...], tuple[int, ...]]) -> None:
+    with pytest.raises(ValueError, match="must have the same"):
+        Photometric.apply(torch.zeros(shapes[0]), torch.zeros(shapes[1]), 1.0)

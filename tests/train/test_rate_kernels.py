@@ -8,10 +8,13 @@ import torch
 from torch import Tensor
 
 from refcodec.bitstream.tables import SCALE_MIN
+from refcodec.train.cpu.likelihood import likelihood
 from refcodec.train.cpu.residues import Symbols, WithResidues
+from refcodec.train.rate_model.bits import TorchBits
 from refcodec.train.rate_model.folded import FoldedMlp
 from refcodec.train.rate_model.hyperprior import Contexts, PlaneSamples, plane_neighbours
 from refcodec.train.rate_model.model import OFFSETS, PAPER, RateModel
+from refcodec.train.rate_model.units import MEAN_UNIT
 from refcodec.train.settings import EntropySettings
 
 ROUNDED = pytest.mark.parametrize("rounding", [False, True], ids=["floats", "integers"])
@@ -95,6 +98,24 @@ def test_a_folded_network(rounding: bool, gridded: bool) -> None:
     agree([ours], [wanted])
     inputs = [x, *network.parameters()]
     agree(gradients(ours, weights, inputs), gradients(wanted, weights, inputs))
+
+
+@pytest.mark.parametrize("count", [1, 4003])
+def test_likelihood(count: int) -> None:
+    """Bits and their derivatives: likely and unlikely symbols, past both ends of the scales, and some at their mean."""
+    draw = torch.Generator().manual_seed(5)
+    mean = 60 * torch.randn(count, generator=draw)
+    scale = torch.empty(count).uniform_(-40, 60, generator=draw)
+    symbol = mean / 16 + torch.randn(count, generator=draw) * torch.exp2(scale / 8)
+    symbol[::7] = mean[::7] / 16
+    bits, *ours = map(torch.from_numpy, likelihood(mean.numpy(), scale.numpy(), symbol.numpy(), 2.0**-20))
+    exact = [v.double().requires_grad_() for v in (mean, scale, symbol)]
+    wanted = TorchBits.apply(*exact, True, 2.0**-20)
+    agree([bits], [wanted])
+    by = gradients(wanted, torch.ones(count), exact)
+    # TorchBits has none that leads further past the smallest scale; the kernel leaves this to its callers.
+    ours[1][(scale <= SCALE_MIN) & (ours[1] > 0)] = 0
+    agree([*ours, -MEAN_UNIT * ours[0]], by, 1e-4)
 
 
 @ROUNDED

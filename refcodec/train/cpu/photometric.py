@@ -131,12 +131,15 @@ def _backward(buffers: F32, window: F32, height: int, channels: int, factor: np.
 class Photometric(torch.autograd.Function):
     """Photometric.apply(image, photograph, ssim) -> loss, a scalar: (1 - ssim) L1 + ssim (1 - SSIM).
 
-    Both images are float32 [H, W, 3] on the CPU. Only the first has a gradient.
+    Both images are float32 [H, W, 3] on the CPU. Only the first has a gradient. Raises ValueError for shapes that
+    differ, or without a pixel.
     """
 
     @staticmethod
     def forward(ctx: Any, image: Tensor, photograph: Tensor, ssim: float) -> Tensor:
-        assert image.shape == photograph.shape
+        if image.shape != photograph.shape or image.ndim != 3 or image.numel() == 0:
+            shapes = f"{tuple(image.shape)} and {tuple(photograph.shape)}"
+            raise ValueError(f"the images have the shapes {shapes}, but must have the same [H,W,C]")
         height, width, channels = image.shape
         values = width * channels
         # Rows of values between zeros: both images x and y, and the derivatives of the sum of SSIM with respect to the
